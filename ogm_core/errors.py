@@ -1,0 +1,67 @@
+"""Everything that this project raises on purpose.
+
+OgmError
++-- BadInput              something given to us is wrong: the text says what, and what to do
+|   +-- BadMessage        a payload is not a Pose or Scan
+|   +-- BadParameter      a request's parameter is unknown, ill-formed or out of range
+|   +-- BadSetting        a map setting contradicts itself or is out of range
+|   +-- BadRecording      a log cannot be read, or holds no scan
+|   +-- BadWorld          a simulated world's description is wrong
++-- LimitReached          a scan would stretch the map past its limits
++-- MapEmpty              there is no known cell to draw
+"""
+
+
+class OgmError(Exception):
+    """Base of every error that is raised on purpose; anything else is a bug."""
+
+    slug = "error"
+    """Stable name of the kind of error: the `type` of problem+json and of Zenoh error replies."""
+
+
+class BadInput(OgmError):
+    """Something that was given to us is wrong; the text says what, and what to do."""
+
+    slug = "bad-input"
+
+
+class BadMessage(BadInput):
+    """A payload is not a well-formed Pose or Scan."""
+
+    slug = "bad-message"
+
+
+class BadParameter(BadInput):
+    """A request's parameter is unknown, ill-formed or out of range."""
+
+    slug = "bad-parameter"
+
+
+class BadSetting(BadInput):
+    """A map setting contradicts itself or is out of range."""
+
+    slug = "bad-setting"
+
+
+class BadRecording(BadInput):
+    """A recorded log cannot be read, or holds no scan."""
+
+    slug = "bad-recording"
+
+
+class BadWorld(BadInput):
+    """The description of a simulated world is wrong."""
+
+    slug = "bad-world"
+
+
+class LimitReached(OgmError):
+    """A scan would stretch the map past `max_cells`, `max_bytes` or what can be addressed."""
+
+    slug = "limit"
+
+
+class MapEmpty(OgmError):
+    """The map has no known cell yet, so there is nothing to draw."""
+
+    slug = "map-empty"

@@ -1,0 +1,79 @@
+"""The Zenoh key expressions of one map, and the names that may stand in them."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from ogm_core.errors import BadSetting
+
+NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
+ROOT = "ogm/v1"
+
+Service = Literal["map", "cell", "quality", "status", "reset"]
+SERVICES: tuple[Service, ...] = ("map", "cell", "quality", "status", "reset")
+
+
+def check_name(value: str, what: str) -> str:
+    """Return `value` if it can stand in a key.
+
+    Raises:
+        BadSetting: it is not 1 to 64 of A-Z a-z 0-9 _ - . (the text names `what`).
+    """
+    if not NAME.fullmatch(value):
+        raise BadSetting(f"{what} {value!r}: a name is 1 to 64 of A-Z a-z 0-9 _ - .")
+    return value
+
+
+class Source(NamedTuple):
+    """Whose data a key carries: a robot's poses (sensor is None) or one of its sensors' scans."""
+
+    robot: str
+    sensor: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class MapKeys:
+    """The keys of the map named `map_name`."""
+
+    map_name: str
+
+    def __post_init__(self) -> None:
+        check_name(self.map_name, "map name")
+
+    @property
+    def root(self) -> str:
+        """What every key of this map begins with."""
+        return f"{ROOT}/{self.map_name}"
+
+    @property
+    def robots(self) -> str:
+        """Every message of every robot; one subscriber on it keeps their order."""
+        return f"{self.root}/robots/**"
+
+    def pose(self, robot: str) -> str:
+        """Where `robot` puts its poses."""
+        return f"{self.root}/robots/{check_name(robot, 'robot')}/pose"
+
+    def scan(self, robot: str, sensor: str) -> str:
+        """Where `robot` puts the scans of `sensor`."""
+        return f"{self.root}/robots/{check_name(robot, 'robot')}/scan/{check_name(sensor, 'sensor')}"
+
+    def service(self, name: Service) -> str:
+        """A queryable of the mapper."""
+        return f"{self.root}/{name}"
+
+    def alive(self, service: str, identity: str, run: str) -> str:
+        """The liveliness token of a running service: `identity` outlives a restart, `run` does not."""
+        return f"{self.root}/alive/{service}/{identity}/{run}"
+
+    def source_of(self, key: str) -> Source | None:
+        """Whose data `key` carries; None if it is neither a pose key nor a scan key of this map."""
+        prefix = f"{self.root}/robots/"
+        if not key.startswith(prefix):
+            return None
+        match key[len(prefix) :].split("/"):
+            case [robot, "pose"] if NAME.fullmatch(robot):
+                return Source(robot, None)
+            case [robot, "scan", sensor] if NAME.fullmatch(robot) and NAME.fullmatch(sensor):
+                return Source(robot, sensor)
+        return None

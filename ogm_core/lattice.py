@@ -1,0 +1,128 @@
+"""World <-> cell arithmetic: the only module where metres become cells and cells become metres.
+
+A map's lattice is fixed for its life. Cells are half open: cell (ix, iy) holds the points with
+ix <= (x - anchor_x) / resolution < ix + 1, and likewise in y. Serving crops; it never shifts the lattice.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ogm_core.errors import BadParameter, BadSetting
+
+MIN_RESOLUTION = 0.001
+"""The smallest cell, m: with ranges up to 1000 m a beam stays below 2^20 cells (see ogm_core.bresenham)."""
+MAX_INDEX = 2**52
+"""Cells beyond this index are not addressed: a float64 no longer tells neighbours apart."""
+_WHOLE = 1e-6
+
+
+class CellRect(NamedTuple):
+    """A rectangle of cells: lower-left cell (ix, iy), `width` columns, `height` rows."""
+
+    ix: int
+    iy: int
+    width: int
+    height: int
+
+    @property
+    def cells(self) -> int:
+        """How many cells it holds."""
+        return self.width * self.height
+
+    def union(self, other: "CellRect") -> "CellRect":
+        """The smallest rectangle that holds both."""
+        ix, iy = min(self.ix, other.ix), min(self.iy, other.iy)
+        right = max(self.ix + self.width, other.ix + other.width)
+        top = max(self.iy + self.height, other.iy + other.height)
+        return CellRect(ix, iy, right - ix, top - iy)
+
+    def intersection(self, other: "CellRect") -> "CellRect":
+        """The cells that both hold; width and height are 0 if there are none."""
+        ix, iy = max(self.ix, other.ix), max(self.iy, other.iy)
+        right = min(self.ix + self.width, other.ix + other.width)
+        top = min(self.iy + self.height, other.iy + other.height)
+        if right <= ix or top <= iy:
+            return CellRect(ix, iy, 0, 0)
+        return CellRect(ix, iy, right - ix, top - iy)
+
+    def contains(self, other: "CellRect") -> bool:
+        """Whether every cell of `other` lies in this rectangle."""
+        return self.union(other) == self
+
+
+class Region(NamedTuple):
+    """An axis-aligned rectangle of the world, m."""
+
+    xmin: float
+    ymin: float
+    xmax: float
+    ymax: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Square cells of `resolution` metres; `anchor` is the lower-left corner of cell (0, 0)."""
+
+    resolution: float
+    anchor: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution) and self.resolution >= MIN_RESOLUTION):
+            raise BadSetting(f"resolution: at least {MIN_RESOLUTION:g} m is needed, got {self.resolution:g}")
+
+    def cell_of(self, x: float, y: float) -> tuple[int, int]:
+        """Indices (ix, iy) of the cell that holds the point (x, y), m.
+
+        Raises:
+            BadParameter: the point is not finite, or farther away than cells can be told apart.
+        """
+        u = (x - self.anchor[0]) / self.resolution
+        v = (y - self.anchor[1]) / self.resolution
+        if not (abs(u) < MAX_INDEX and abs(v) < MAX_INDEX):
+            raise BadParameter(f"point ({x:g}, {y:g}): no cell has such coordinates")
+        return math.floor(u), math.floor(v)
+
+    def corner_of(self, ix: int, iy: int) -> tuple[float, float]:
+        """World position of the lower-left corner of cell (ix, iy), m."""
+        return self.anchor[0] + ix * self.resolution, self.anchor[1] + iy * self.resolution
+
+    def cover(self, region: Region) -> CellRect:
+        """The smallest rectangle of cells that covers `region` (rounded outward).
+
+        Raises:
+            BadParameter: the region is inverted, empty, not finite, or too far away.
+        """
+        if not all(map(math.isfinite, region)):
+            raise BadParameter("region: four finite numbers are needed")
+        if not (region.xmin < region.xmax and region.ymin < region.ymax):
+            raise BadParameter("region: xmin < xmax and ymin < ymax are needed")
+        ix, iy = self.cell_of(region.xmin, region.ymin)
+        u = (region.xmax - self.anchor[0]) / self.resolution
+        v = (region.ymax - self.anchor[1]) / self.resolution
+        if not (u < MAX_INDEX and v < MAX_INDEX):
+            raise BadParameter("region: no cell has such coordinates")
+        return CellRect(ix, iy, max(1, math.ceil(u) - ix), max(1, math.ceil(v) - iy))
+
+
+def bounded(resolution: float, bounds: Region) -> tuple[Lattice, CellRect]:
+    """Lattice anchored at the bounds' lower-left corner, and the cells that the bounds span.
+
+    Raises:
+        BadSetting: the bounds are inverted, not finite, or do not span a whole number of cells (within 1e-6).
+    """
+    lattice = Lattice(resolution, (bounds.xmin, bounds.ymin))
+    if not all(map(math.isfinite, bounds)) or bounds.xmin >= bounds.xmax or bounds.ymin >= bounds.ymax:
+        raise BadSetting(f"bounds: finite XMIN < XMAX and YMIN < YMAX are needed, got {_listed(bounds)}")
+    spans = (bounds.xmax - bounds.xmin) / resolution, (bounds.ymax - bounds.ymin) / resolution
+    for axis, span in zip("xy", spans, strict=True):
+        if not (span < MAX_INDEX and abs(span - round(span)) <= _WHOLE and round(span) >= 1):
+            raise BadSetting(
+                f"bounds: {span:.9g} cells of {resolution:g} m in {axis}; a whole number is needed, "
+                f"so change the bounds {_listed(bounds)} or the resolution"
+            )
+    return lattice, CellRect(0, 0, round(spans[0]), round(spans[1]))
+
+
+def _listed(bounds: Region) -> str:
+    return ",".join(f"{value:g}" for value in bounds)

@@ -1,0 +1,165 @@
+"""The log-odds cell model: what a cell stores, how an observation changes it, and what it means.
+
+Every observation adds a constant to l = ln(p / (1 - p)), the log odds of "occupied", and the sum is clamped
+(Moravec & Elfes 1985; Elfes 1989; Thrun, Burgard & Fox 2005, ch. 9). Everything outside this module (layout,
+traversal, serving) knows a cell only through its model: its dtype, its update, its probability.
+
+Two storage forms, both with a stored 0 for "never updated", so that untouched memory is an unknown map:
+
+- int16: l - l0 in steps of max(l_max - l0, l0 - l_min) / 16383, times two, plus a known bit: a cell that is
+  brought back to the prior stays known.
+- float64: l itself. A known l of exactly zero is stored as -0.0, which adds and compares like 0.0; all bits
+  zero (+0.0) is unknown.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.errors import BadSetting
+
+CellType = Literal["int16", "float64"]
+Cells = NDArray[Any]
+"""Stored cells: int16 or float64, any shape."""
+Encoder = Callable[[NDArray[np.float64], NDArray[np.bool_]], NDArray[Any]]
+"""From (probability, known) of cells to what is served of them, element by element."""
+
+P_EDGE = 1e-9
+"""Probabilities are clipped to [1e-9, 1 - 1e-9] before the logit is taken."""
+FULL_SCALE = 16383
+OCCUPIED_ABOVE = 0.65
+FREE_BELOW = 0.196
+
+
+class Update(NamedTuple):
+    """What the kernels need of the model, in stored units.
+
+    `free` and `occupied` are the increments, `lower` and `upper` the clamps, `prior` the value that a cell
+    without observations starts from. float64: log odds. int16: steps times two; no increment is larger than
+    the distance between the clamps, so that no sum leaves int16.
+    """
+
+    free: float | int
+    occupied: float | int
+    lower: float | int
+    upper: float | int
+    prior: float | int
+
+
+def logit(p: float) -> float:
+    """Log odds ln(p / (1 - p)) of a probability, clipped to [1e-9, 1 - 1e-9] first."""
+    p = min(max(p, P_EDGE), 1.0 - P_EDGE)
+    return math.log(p / (1.0 - p))
+
+
+@dataclass(frozen=True)
+class LogOdds:
+    """A log-odds model: probabilities of the prior and of the two observations, clamps, storage form.
+
+    Raises:
+        BadSetting: not p_free < p_prior < p_occ, not l_min < l0 < l_max, or an observation is too weak to
+            be stored as int16.
+    """
+
+    cells: CellType = "int16"
+    p_prior: float = 0.5
+    p_occ: float = 0.7
+    p_free: float = 0.3
+    l_min: float = -8.0
+    l_max: float = 8.0
+
+    def __post_init__(self) -> None:
+        values = (self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)
+        if not all(map(math.isfinite, values)):
+            raise BadSetting("p_prior, p_occ, p_free, l_min, l_max: finite numbers are needed")
+        if not all(0.0 <= p <= 1.0 for p in values[:3]):
+            raise BadSetting("p_prior, p_occ, p_free: probabilities from 0 to 1 are needed")
+        if not logit(self.p_free) < self.l0 < logit(self.p_occ):
+            raise BadSetting(
+                f"p_free < p_prior < p_occ is needed, got {self.p_free:g}, {self.p_prior:g}, {self.p_occ:g}"
+            )
+        if not self.l_min < self.l0 < self.l_max:
+            raise BadSetting(
+                f"l_min < logit(p_prior) < l_max is needed, got {self.l_min:g}, {self.l0:g}, {self.l_max:g}"
+            )
+        if self.cells == "int16" and not (round(self.d_free / self.step) and round(self.d_occ / self.step)):
+            raise BadSetting(
+                f"an observation changes the log odds by less than the int16 step of {self.step:.3g}: "
+                "widen p_free and p_occ, narrow the clamps, or use float64 cells"
+            )
+
+    @property
+    def l0(self) -> float:
+        """Log odds of the prior."""
+        return logit(self.p_prior)
+
+    @property
+    def d_occ(self) -> float:
+        """Increment of an observation "occupied"."""
+        return logit(self.p_occ) - self.l0
+
+    @property
+    def d_free(self) -> float:
+        """Increment of an observation "free", negative."""
+        return logit(self.p_free) - self.l0
+
+    @property
+    def step(self) -> float:
+        """Log odds per step of an int16 cell."""
+        return max(self.l_max - self.l0, self.l0 - self.l_min) / FULL_SCALE
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of a stored cell."""
+        return np.dtype(self.cells)
+
+    @cached_property
+    def update(self) -> Update:
+        """Increments, clamps and prior in stored units."""
+        if self.cells == "float64":
+            return Update(self.d_free, self.d_occ, self.l_min, self.l_max, self.l0)
+        lower, upper = round((self.l_min - self.l0) / self.step), round((self.l_max - self.l0) / self.step)
+        span = upper - lower
+        free = max(round(self.d_free / self.step), -span)
+        occupied = min(round(self.d_occ / self.step), span)
+        return Update(2 * free, 2 * occupied, 2 * lower, 2 * upper, 0)
+
+    def known(self, cells: Cells) -> NDArray[np.bool_]:
+        """Which cells were ever updated."""
+        if cells.dtype == np.float64:
+            return np.not_equal(cells.view(np.int64), 0)
+        return np.not_equal(cells, 0)
+
+    def log_odds(self, cells: Cells) -> NDArray[np.float64]:
+        """Log odds of the cells, the prior's where unknown; float64."""
+        if cells.dtype == np.float64:
+            return np.where(self.known(cells), cells + 0.0, self.l0)
+        return self.l0 + (cells >> 1).astype(np.float64) * self.step
+
+    def probability(self, cells: Cells) -> NDArray[np.float64]:
+        """Probability of "occupied", the prior's where unknown; float64."""
+        return probability_of(self.log_odds(cells))
+
+    def encode(self, cells: Cells, encoder: Encoder) -> NDArray[Any]:
+        """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
+        if cells.dtype == np.float64:
+            return encoder(self.probability(cells), self.known(cells))
+        return np.asarray(np.take(_table(self, encoder), cells.view(np.uint16)))
+
+
+@lru_cache(maxsize=16)
+def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
+    """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
+    every = np.arange(2**16, dtype=np.uint16).view(np.int16)
+    return encoder(model.probability(every), model.known(every))
+
+
+def probability_of(log_odds: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Probability p = 1 / (1 + exp(-l)), float64; 0 where l is too small for float64 to tell."""
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-log_odds.astype(np.float64)))

@@ -1,0 +1,198 @@
+"""Pose and Scan messages: MessagePack on the wire, and the field rules that recordings share.
+
+`decode_*` and `*_from_fields` are the one place where a message is validated; nothing is repaired.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from ogm_core.errors import BadMessage
+from ogm_core.types import IDENTITY, Pose, PoseStamped, Ranges, Scan
+
+MEDIA_TYPE = "application/msgpack"
+POSE_SCHEMA = "ogm.Pose.v1"
+SCAN_SCHEMA = "ogm.Scan.v1"
+MAX_RANGE = 1000.0
+"""The largest `range_max`, m."""
+DEFAULT_MAX_BEAMS = 200_000
+_INT_END = 2**63
+
+Fields = Mapping[str, Any]
+
+
+def encode_pose(message: PoseStamped) -> bytes:
+    """MessagePack form of a pose message."""
+    x, y, theta = message.pose
+    fields = {"stamp": message.stamp, "seq": message.seq, "run": message.run, "x": x, "y": y, "theta": theta}
+    return bytes(msgpack.packb(fields))
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """MessagePack form of a scan message; ranges as little-endian float32."""
+    fields = scan_fields(scan)
+    fields["ranges"] = scan.ranges.astype("<f4", copy=False).tobytes()
+    return bytes(msgpack.packb(fields))
+
+
+def scan_fields(scan: Scan) -> dict[str, Any]:
+    """Every field of a scan message but `ranges`, whose form differs between wire and recording."""
+    fields: dict[str, Any] = {
+        "stamp": scan.stamp,
+        "seq": scan.seq,
+        "run": scan.run,
+        "angle_min": scan.angle_min,
+        "angle_increment": scan.angle_increment,
+        "time_increment": scan.time_increment,
+        "range_min": scan.range_min,
+        "range_max": scan.range_max,
+        "mount": list(scan.mount),
+    }
+    if scan.pose is not None:
+        fields["pose"] = list(scan.pose)
+    return fields
+
+
+def decode_pose(payload: bytes) -> PoseStamped:
+    """Read a pose message.
+
+    Raises:
+        BadMessage: it is not one; the text names the field.
+    """
+    return pose_from_fields(_unpack(payload))
+
+
+def decode_scan(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
+    """Read a scan message; its ranges are a view of `payload`.
+
+    Raises:
+        BadMessage: it is not one; the text names the field.
+    """
+    fields = _unpack(payload)
+    ranges = _required(fields, "ranges")
+    if not isinstance(ranges, bytes):
+        raise BadMessage(f"ranges: bytes of little-endian float32 are needed, got {_kind(ranges)}")
+    if len(ranges) % 4:
+        raise BadMessage(f"ranges: {len(ranges)} bytes are not a whole number of float32")
+    return scan_from_fields(fields, np.frombuffer(ranges, "<f4"), max_beams=max_beams)
+
+
+def pose_from_fields(fields: Fields) -> PoseStamped:
+    """Check a pose message's fields.
+
+    Raises:
+        BadMessage: a field is missing, of the wrong type or out of range.
+    """
+    pose = Pose(_number(fields, "x"), _number(fields, "y"), _number(fields, "theta"))
+    return PoseStamped(_count(fields, "stamp"), pose, _count(fields, "seq"), _text(fields, "run"))
+
+
+def scan_from_fields(fields: Fields, ranges: Ranges, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
+    """Check a scan message's fields; `ranges` are read already, float32, shape (N,).
+
+    Raises:
+        BadMessage: a field is missing, of the wrong type or out of range.
+    """
+    if not 0 < ranges.size <= max_beams:
+        raise BadMessage(f"ranges: 1 to {max_beams} beams are needed, got {ranges.size}")
+    scan = Scan(
+        stamp=_count(fields, "stamp"),
+        seq=_count(fields, "seq"),
+        run=_text(fields, "run"),
+        angle_min=_number(fields, "angle_min"),
+        angle_increment=_number(fields, "angle_increment"),
+        time_increment=_number(fields, "time_increment", 0.0),
+        range_min=_number(fields, "range_min"),
+        range_max=_number(fields, "range_max"),
+        ranges=ranges,
+        mount=_pose(fields, "mount") or IDENTITY,
+        pose=_pose(fields, "pose"),
+    )
+    check_scan(scan)
+    return scan
+
+
+def check_scan(scan: Scan) -> None:
+    """Check what holds between a scan's fields.
+
+    Raises:
+        BadMessage: range_min and range_max, or the bearings, make no sense.
+    """
+    if scan.angle_increment == 0.0:
+        raise BadMessage("angle_increment: it must not be 0")
+    if not math.isfinite(scan.angle_min + (scan.ranges.size - 1) * scan.angle_increment):
+        raise BadMessage("angle_increment: the last beam's bearing is not finite")
+    if not math.isfinite((scan.ranges.size - 1) * scan.time_increment * 1e9):
+        raise BadMessage("time_increment: the last beam's stamp is not finite")
+    if not 0.0 <= scan.range_min < scan.range_max:
+        raise BadMessage(
+            f"range_min: 0 <= range_min < range_max is needed, got {scan.range_min:g} and {scan.range_max:g}"
+        )
+    if scan.range_max > MAX_RANGE:
+        raise BadMessage(f"range_max: at most {MAX_RANGE:g} m, got {scan.range_max:g}")
+
+
+def _unpack(payload: bytes) -> Fields:
+    try:
+        fields = msgpack.unpackb(payload)
+    except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
+        raise BadMessage(f"payload: not MessagePack ({str(error) or type(error).__name__})") from error
+    if not isinstance(fields, dict):
+        raise BadMessage(f"payload: a MessagePack map is needed, got {_kind(fields)}")
+    return fields
+
+
+def _kind(value: object) -> str:
+    return "null" if value is None else type(value).__name__
+
+
+def _required(fields: Fields, name: str) -> Any:  # noqa: ANN401 - whatever was sent
+    if name not in fields:
+        raise BadMessage(f"{name}: missing")
+    return fields[name]
+
+
+def _finite(value: object, name: str) -> float:
+    if type(value) not in (int, float):
+        raise BadMessage(f"{name}: a number is needed, got {_kind(value)}")
+    try:
+        number = float(value)  # type: ignore[arg-type]  # int or float, as just checked
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise BadMessage(f"{name}: a finite number is needed, got {value}")
+    return number
+
+
+def _number(fields: Fields, name: str, default: float | None = None) -> float:
+    if default is not None and name not in fields:
+        return default
+    return _finite(_required(fields, name), name)
+
+
+def _count(fields: Fields, name: str) -> int:
+    value = _required(fields, name)
+    if type(value) is not int:
+        raise BadMessage(f"{name}: a whole number is needed, got {_kind(value)}")
+    if not 0 <= value < _INT_END:
+        raise BadMessage(f"{name}: 0 to 2^63 - 1 is needed, got {value}")
+    return value
+
+
+def _text(fields: Fields, name: str) -> str:
+    value = fields.get(name, "")
+    if not isinstance(value, str):
+        raise BadMessage(f"{name}: text is needed, got {_kind(value)}")
+    return value
+
+
+def _pose(fields: Fields, name: str) -> Pose | None:
+    if name not in fields:
+        return None
+    value = fields[name]
+    if not isinstance(value, list) or len(value) != 3:
+        raise BadMessage(f"{name}: [x, y, theta] is needed")
+    return Pose(*(_finite(part, f"{name}[{i}]") for i, part in enumerate(value)))

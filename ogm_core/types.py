@@ -1,0 +1,77 @@
+"""The values that travel through the mapper: poses and scans."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ranges = NDArray[np.float32]
+
+
+class Pose(NamedTuple):
+    """Position in metres and heading in radians, counter-clockwise, of a frame in another one."""
+
+    x: float
+    y: float
+    theta: float
+
+    def compose(self, child: "Pose") -> "Pose":
+        """Pose of `child`, given in this frame, in the frame that this pose is given in.
+
+        A zero child gives this pose bit for bit. Theta is not normalised.
+        """
+        if child == IDENTITY:
+            return self
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(
+            self.x + c * child.x - s * child.y,
+            self.y + s * child.x + c * child.y,
+            self.theta + child.theta,
+        )
+
+
+IDENTITY = Pose(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseStamped:
+    """Pose of a robot's base in the map frame at a time.
+
+    `stamp` in ns since the Unix epoch; `seq` counts the messages of this key and `run`; `run` names the
+    publisher's run ("" if it names none).
+    """
+
+    stamp: int
+    pose: Pose
+    seq: int = 0
+    run: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One sweep of a 2D LiDAR; beam k looks along `angle_min + k * angle_increment` in the sensor frame.
+
+    `stamp` is the time of the first beam, ns since the Unix epoch; `time_increment` the seconds between
+    beams. Angles in radians, ranges in metres: float32, shape (N,), N >= 1, read-only. `mount` is the
+    sensor's pose in the base frame, `pose` the base's pose in the map frame at `stamp`, if the scan
+    carries one.
+    """
+
+    stamp: int
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    ranges: Ranges
+    time_increment: float = 0.0
+    mount: Pose = IDENTITY
+    pose: Pose | None = None
+    seq: int = 0
+    run: str = ""
+
+    @property
+    def end_stamp(self) -> int:
+        """Time of the last beam, ns since the Unix epoch."""
+        return self.stamp + round((self.ranges.size - 1) * self.time_increment * 1e9)
