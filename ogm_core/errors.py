@@ -55,10 +55,22 @@ class BadWorld(BadInput):
     slug = "bad-world"
 
 
-class LimitReached(OgmError):
+class ScanRefused(OgmError):
+    """A well-formed scan is not integrated; the slug is the reason that it is counted under."""
+
+    slug = "refused"
+
+
+class LimitReached(ScanRefused):
     """A scan would stretch the map past `max_cells`, `max_bytes` or what can be addressed."""
 
     slug = "limit"
+
+
+class OutsideBounds(ScanRefused):
+    """Every beam that counts starts or ends outside the bounds of a map that drops such beams."""
+
+    slug = "outside"
 
 
 class MapEmpty(OgmError):

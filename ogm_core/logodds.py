@@ -122,7 +122,7 @@ class LogOdds:
     def update(self) -> Update:
         """Increments, clamps and prior in stored units."""
         if self.cells == "float64":
-            return Update(self.d_free, self.d_occ, self.l_min, self.l_max, self.l0)
+            return Update(self.d_free, self.d_occ, float(self.l_min), float(self.l_max), self.l0)
         lower, upper = round((self.l_min - self.l0) / self.step), round((self.l_max - self.l0) / self.step)
         span = upper - lower
         free = max(round(self.d_free / self.step), -span)

@@ -186,6 +186,8 @@ def _text(fields: Fields, name: str) -> str:
     value = fields.get(name, "")
     if not isinstance(value, str):
         raise BadMessage(f"{name}: text is needed, got {_kind(value)}")
+    if not value.isascii() and any("\ud800" <= character <= "\udfff" for character in value):
+        raise BadMessage(f"{name}: it holds half a surrogate pair, which UTF-8 cannot")
     return value
 
 

@@ -1,0 +1,33 @@
+"""The client library: publish a robot's poses and scans, and ask a mapper for its map.
+
+with MapClient("tcp/127.0.0.1:7447") as mapper:
+    mapper.get_map().save_png("map.png")
+"""
+
+from ogm_client.errors import (
+    BadReply,
+    CannotConnect,
+    CannotListen,
+    ClientError,
+    MapperError,
+    NobodyAnswered,
+)
+from ogm_client.map_client import MapClient
+from ogm_client.map_grid import MapGrid
+from ogm_client.robot import RobotPublisher
+from ogm_client.session import DEFAULT_ADDRESS
+from ogm_core.errors import OgmError
+
+__all__ = [
+    "DEFAULT_ADDRESS",
+    "BadReply",
+    "CannotConnect",
+    "CannotListen",
+    "ClientError",
+    "MapClient",
+    "MapGrid",
+    "MapperError",
+    "NobodyAnswered",
+    "OgmError",
+    "RobotPublisher",
+]

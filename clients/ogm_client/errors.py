@@ -1,0 +1,69 @@
+"""What the client library raises on purpose.
+
+OgmError
++-- ClientError           talking to a mapper, or to the network, failed: the text says what to check
+    +-- CannotConnect     nothing takes connections at the address
+    +-- CannotListen      an address to listen on is taken, or is not this machine's
+    +-- NobodyAnswered    connected, but no mapper of that map answered in time
+    +-- MapperError       the mapper refused the request: `type`, `status`, `detail`
+    +-- BadReply          the answer is not what a mapper answers
+
+What is wrong with the caller's own values is a `BadInput` of `ogm_core.errors`: `BadMessage`, `BadParameter`
+or `BadSetting`, raised before anything is sent.
+"""
+
+from ogm_core.errors import OgmError
+
+
+class ClientError(OgmError):
+    """Talking to a mapper, or to the network, failed; the text says what to check."""
+
+    slug = "client-error"
+
+
+class CannotConnect(ClientError):
+    """Nothing takes connections at the address."""
+
+    slug = "cannot-connect"
+
+
+class CannotListen(ClientError):
+    """An address to listen on is taken, or is not this machine's."""
+
+    slug = "cannot-listen"
+
+
+class NobodyAnswered(ClientError):
+    """Connected, but no mapper of that map answered in time."""
+
+    slug = "nobody-answered"
+
+
+def nobody(map_name: str, where: str, timeout: float) -> NobodyAnswered:
+    """Say that no mapper of the map answered at `where`, and what to check; `timeout` in seconds."""
+    return NobodyAnswered(
+        f"no mapper of map {map_name!r} answered at {where} within {timeout:g} s: "
+        f"is `ogm mapper` running there, with --map {map_name}?"
+    )
+
+
+class MapperError(ClientError):
+    """The mapper refused a request, with an error reply or with problem+json.
+
+    `type` is the stable name of the kind of error ("map-empty", "bad-parameter", ...), `status` the HTTP
+    status code (Zenoh error replies carry the same), `detail` what was wrong, in words.
+    """
+
+    slug = "mapper-error"
+
+    def __init__(self, kind: str, status: int, detail: str) -> None:
+        super().__init__(f"the mapper refused: {detail} ({kind}, {status})")
+        self.type = kind
+        self.status = status
+        self.detail = detail
+
+
+class BadReply(ClientError):
+    """The answer is not what a mapper answers."""
+
+    slug = "bad-reply"

@@ -1,0 +1,90 @@
+"""A mapper reached over HTTP."""
+
+import httpx
+
+from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
+from ogm_client.transport import MapReply, Parameters, Version, map_reply, mapper_error
+from ogm_core.errors import BadSetting
+
+_PROBLEM = "application/problem+json"
+
+
+class HttpTransport:
+    """Requests to the mapper that serves at `url`; it connects when it is first asked something."""
+
+    def __init__(self, url: str, timeout: float) -> None:
+        """Take the mapper's address, "http://host:port", and how long an answer may take, s.
+
+        Raises:
+            BadSetting: it is not a URL.
+        """
+        self._url = url
+        self._timeout = timeout
+        try:
+            self._client = httpx.Client(base_url=url, timeout=timeout)
+        except httpx.InvalidURL as error:
+            raise BadSetting(f"address {url!r}: {error}") from error
+
+    def fetch(self, name: str, parameters: Parameters) -> bytes:
+        """The bytes of one of NAMES."""
+        return self._send("GET", name, parameters).content
+
+    def fetch_map(self, parameters: Parameters) -> MapReply:
+        """map.npz with its version."""
+        return _map_reply(self._send("GET", "map.npz", parameters))
+
+    def fetch_map_after(self, seen: Version) -> MapReply | None:
+        """map.npz, whole, if the map is no longer at version `seen`; else None."""
+        etag = f'"{seen.epoch}-{seen.revision}"'
+        response = self._send("GET", "map.npz", {}, {"If-None-Match": etag})
+        return None if response.status_code == httpx.codes.NOT_MODIFIED else _map_reply(response)
+
+    def reset(self) -> None:
+        """Empty the map."""
+        self._send("POST", "reset", {})
+
+    def close(self) -> None:
+        """Close the connections; closing twice does nothing."""
+        self._client.close()
+
+    def _send(
+        self, method: str, name: str, parameters: Parameters, headers: dict[str, str] | None = None
+    ) -> httpx.Response:
+        if self._client.is_closed:
+            raise ClientError(f"{name}: the client is closed")
+        try:
+            response = self._client.request(method, f"/{name}", params=parameters, headers=headers)
+        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
+            raise CannotConnect(
+                f"cannot connect to {self._url} ({error}): is `ogm mapper` running there?"
+            ) from error
+        except httpx.TimeoutException as error:
+            raise NobodyAnswered(
+                f"{self._url} did not answer /{name} within {self._timeout:g} s: is a mapper running there?"
+            ) from error
+        except httpx.TransportError as error:
+            raise BadReply(f"{self._url}: no HTTP answer to /{name} ({error}): is it a mapper's?") from error
+        self._check(name, response)
+        return response
+
+    def _check(self, name: str, response: httpx.Response) -> None:
+        if response.is_success or response.status_code == httpx.codes.NOT_MODIFIED:
+            return
+        if response.headers.get("content-type", "").partition(";")[0].strip() == _PROBLEM:
+            raise mapper_error(f"/{name}", response.content)
+        raise BadReply(
+            f"{self._url}: /{name} was answered with {response.status_code} {response.reason_phrase}, "
+            "and not as a mapper does: is the address right?"
+        )
+
+
+def _map_reply(response: httpx.Response) -> MapReply:
+    headers = response.headers
+    stamp = headers.get("OGM-Stamp")
+    try:
+        revision = int(headers["OGM-Revision"])
+        return map_reply(
+            response.content, headers["OGM-Epoch"], revision, None if stamp == "null" else int(stamp)
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadReply(f"{response.url}: headers OGM-Epoch, OGM-Revision and OGM-Stamp are needed") from error

@@ -1,0 +1,170 @@
+"""Ask a running mapper for its map, over Zenoh or HTTP."""
+
+import math
+import numbers
+import time
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from ogm_client.errors import BadReply
+from ogm_client.http_transport import HttpTransport
+from ogm_client.map_grid import MapGrid
+from ogm_client.session import DEFAULT_ADDRESS
+from ogm_client.transport import NAMES, MapReply, Transport, json_object
+from ogm_client.zenoh_transport import ZenohTransport
+from ogm_core.errors import BadInput, BadParameter, BadSetting
+from ogm_core.map_files import read_npz
+
+DEFAULT_TIMEOUT = 5.0
+DEFAULT_INTERVAL = 0.5
+
+Value = str | float | Sequence[float] | None
+"""A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
+
+
+class MapClient:
+    """A connection to the mapper of one map.
+
+        with MapClient() as mapper:
+            grid = mapper.get_map()
+            grid.save_png("map.png")
+
+    Every request may raise, besides what its own text says: CannotConnect, NobodyAnswered (no mapper of that
+    map is there, or it took longer than the timeout), MapperError (it refused) and BadReply.
+
+    Threads may share a client.
+    """
+
+    def __init__(
+        self,
+        address: str = DEFAULT_ADDRESS,
+        *,
+        map_name: str = "default",
+        timeout: float = DEFAULT_TIMEOUT,
+        session: zenoh.Session | None = None,
+    ) -> None:
+        """Connect to "http://host:port" or "https://...", or by Zenoh to an endpoint such as "tcp/host:port".
+
+        An HTTP address has one map, so `map_name` matters over Zenoh only. `timeout` of each answer in
+        seconds. An open Zenoh `session` is used in place of `address`, and stays open.
+
+        Raises:
+            BadSetting: the address or the map's name is ill-formed.
+            CannotConnect: nothing takes Zenoh connections at the address (HTTP connects when first asked).
+        """
+        self._transport = _transport(address, map_name, timeout, session)
+
+    def get_map(self, region: Sequence[float] | None = None) -> MapGrid:
+        """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
+
+        A map without a known cell has shape (0, 0).
+
+        Raises:
+            MapperError: the region is inverted, not finite, or wholly outside the map.
+        """
+        return _grid(self._transport.fetch_map(_texts({"region": region})))
+
+    def fetch(self, name: str, /, **parameters: Value) -> bytes:
+        """The bytes of map.png, map.json, map.pgm, map.yaml, map.npz, cell, quality or status.
+
+        The parameters are those of the HTTP route, such as `palette="probability"`, `max_size=500` or
+        `region=(-1, -1, 1, 1)`.
+
+        Raises:
+            BadParameter: nothing has that name, or a parameter cannot be sent.
+            MapperError: the mapper does not take a parameter, or the map is empty ("map-empty", images only).
+        """
+        if name not in NAMES:
+            raise BadParameter(f"{name!r} cannot be fetched, only {', '.join(NAMES)}")
+        return self._transport.fetch(name, _texts(parameters))
+
+    def status(self) -> dict[str, Any]:
+        """What the mapper has received, integrated and dropped, and from whom."""
+        return json_object("status", self.fetch("status"))
+
+    def quality(self) -> dict[str, Any]:
+        """The quality figures of the map."""
+        return json_object("quality", self.fetch("quality"))
+
+    def cell(self, x: float, y: float) -> dict[str, Any]:
+        """The cell at the point (x, y), m: `{x, y, ix, iy, known, log_odds, probability}`."""
+        return json_object("cell", self.fetch("cell", x=x, y=y))
+
+    def watch(self, interval: float = DEFAULT_INTERVAL) -> Iterator[MapGrid]:
+        """Yield the map at once, and again whenever it has changed; looks every `interval` seconds.
+
+        A map that does not change is not sent again. Ends only by an error or with the loop around it.
+
+        Raises:
+            BadParameter: the interval is not a positive number.
+        """
+        if not 0.0 < interval < math.inf:
+            raise BadParameter(f"interval: a positive number of seconds is needed, got {interval}")
+        return self._watch(interval)
+
+    def reset(self) -> None:
+        """Empty the map: a new epoch begins."""
+        self._transport.reset()
+
+    def close(self) -> None:
+        """Close the connection; a session that was given stays open. Closing twice does nothing."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _watch(self, interval: float) -> Iterator[MapGrid]:
+        reply: MapReply | None = self._transport.fetch_map({})
+        while True:
+            if reply is not None:
+                seen = reply.version
+                yield _grid(reply)
+            time.sleep(interval)
+            reply = self._transport.fetch_map_after(seen)
+
+
+def _transport(address: str, map_name: str, timeout: float, session: zenoh.Session | None) -> Transport:
+    if session is None and address.startswith(("http://", "https://")):
+        return HttpTransport(address, timeout)
+    if session is None and ("://" in address or "/" not in address):
+        raise BadSetting(
+            f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, is needed"
+        )
+    return ZenohTransport(address, map_name, timeout, session)
+
+
+def _grid(reply: MapReply) -> MapGrid:
+    try:
+        npz = read_npz(reply.npz)
+    except BadInput as error:
+        raise BadReply(str(error)) from error
+    return MapGrid(npz.log_odds, npz.resolution, npz.anchor, npz.offset, *reply.version, reply.stamp)
+
+
+def _texts(parameters: dict[str, Value]) -> dict[str, str]:
+    """The parameters that are given, as text; floats in the shortest form that reads back the same."""
+    return {name: _text(name, value) for name, value in parameters.items() if value is not None}
+
+
+def _text(name: str, value: Any) -> str:  # noqa: ANN401 - a Value, or a mistake
+    if isinstance(value, str):
+        if ";" in value:
+            raise BadParameter(f"{name}: {value!r} contains a ';', which separates parameters")
+        return value
+    parts: Any = [value] if isinstance(value, numbers.Real) else value
+    try:
+        return ",".join(_number(part) for part in parts)
+    except (TypeError, ValueError) as error:
+        raise BadParameter(f"{name}: a text, a number or several are needed, got {value!r}") from error
+
+
+def _number(value: float) -> str:
+    return str(value) if type(value) is int else repr(float(value))

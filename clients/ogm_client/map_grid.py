@@ -1,0 +1,143 @@
+"""A map as it was at one revision: an array of cells that knows where it lies in the world."""
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.lattice import Lattice
+from ogm_core.logodds import LogOdds, probability_of
+from ogm_core.map_files import encode_pgm, encode_png, encode_yaml
+from ogm_core.palettes import trinary
+from ogm_core.snapshot import MapSnapshot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapGrid:
+    """Log odds of the cells of a rectangle of the map, and where it lies.
+
+    Arrays are [iy, ix], shape (height, width), row 0 is the south edge. Two kinds of index meet here:
+
+    - a cell's own (ix, iy), the same in every reply, whatever part of the map it shows: `world_to_cell`,
+      `offset`, and /cell speak of it;
+    - the place in this grid's arrays, which counts from the lower-left cell, `offset`. So the cell (ix, iy)
+      is `grid.log_odds[iy - grid.offset[1], ix - grid.offset[0]]`; `at(x, y)` does that.
+
+    `log_odds` is ln(p / (1 - p)) of "occupied", NaN where unknown; float64 of a float64 map, else float32.
+    `resolution` is metres per cell; `anchor` the world position of the lower-left corner of cell (0, 0), m;
+    `epoch` and `revision` name the map's state; `stamp` is its newest scan's, ns since the Unix epoch, or
+    None.
+    """
+
+    log_odds: NDArray[np.floating[Any]]
+    resolution: float
+    anchor: tuple[float, float]
+    offset: tuple[int, int]
+    epoch: str
+    revision: int
+    stamp: int | None
+
+    @property
+    def width(self) -> int:
+        """Columns, cells along x."""
+        return int(self.log_odds.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Rows, cells along y."""
+        return int(self.log_odds.shape[0])
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """World position of the lower-left corner of this grid, m."""
+        return self._lattice.corner_of(*self.offset)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which cells a beam has ever updated; computed on each access, like the other arrays below."""
+        unknown: NDArray[np.bool_] = np.isnan(self.log_odds)
+        return ~unknown
+
+    @property
+    def probability(self) -> NDArray[np.float64]:
+        """Probability of "occupied", NaN where unknown."""
+        return probability_of(self.log_odds)
+
+    @property
+    def occupancy(self) -> NDArray[np.int8]:
+        """100 where occupied (p > 0.65), 0 where free (p < 0.196), -1 where undecided or unknown."""
+        return trinary(self.probability, self.known)
+
+    def world_to_cell(self, x: float, y: float) -> tuple[int, int]:
+        """The own index (ix, iy) of the cell that holds the point (x, y), m, be it in this grid or not.
+
+        Raises:
+            BadParameter: the point is not finite, or too far away for cells to be told apart.
+        """
+        return self._lattice.cell_of(x, y)
+
+    def at(self, x: float, y: float) -> float:
+        """Probability of "occupied" at the point (x, y), m; NaN where unknown or outside this grid.
+
+        Raises:
+            BadParameter: as `world_to_cell`.
+        """
+        ix, iy = self.world_to_cell(x, y)
+        column, row = ix - self.offset[0], iy - self.offset[1]
+        if not (0 <= column < self.width and 0 <= row < self.height):
+            return math.nan
+        return float(probability_of(self.log_odds[row : row + 1, column])[0])
+
+    def save_png(self, path: str | os.PathLike[str], palette: str = "ros") -> None:
+        """Write an 8-bit grey PNG, north up.
+
+        `palette` "ros": 0 occupied, 254 free, 205 undecided or unknown; "probability": brighter is more
+        likely occupied, 127 unknown.
+
+        Raises:
+            MapEmpty: there is no cell to draw.
+            BadParameter: no such palette.
+        """
+        Path(path).write_bytes(encode_png(self._snapshot(), palette))
+
+    def save_npz(self, path: str | os.PathLike[str]) -> None:
+        """Write a NumPy archive of the arrays that the mapper's own map.npz holds."""
+        with Path(path).open("wb") as file:  # given a path, numpy would add a suffix of its own
+            np.savez_compressed(
+                file,
+                log_odds=self.log_odds,
+                resolution=np.array(self.resolution),
+                origin=np.array(self.origin),
+                offset=np.array(self.offset, np.int64),
+                anchor=np.array(self.anchor),
+            )
+
+    def save_ros_map(self, path: str | os.PathLike[str]) -> None:
+        """Write the pair that ROS 2 nav2 map_server loads, NAME.yaml and, beside it, NAME.pgm.
+
+        `path` is NAME.yaml, or NAME alone.
+
+        Raises:
+            MapEmpty: there is no cell to draw.
+        """
+        target = Path(path)
+        name = target.stem if target.suffix == ".yaml" else target.name
+        snap = self._snapshot()
+        picture, description = encode_pgm(snap), encode_yaml(snap, f"{name}.pgm")
+        target.with_name(f"{name}.pgm").write_bytes(picture)
+        target.with_name(f"{name}.yaml").write_bytes(description)
+
+    @property
+    def _lattice(self) -> Lattice:
+        return Lattice(self.resolution, self.anchor)
+
+    def _snapshot(self) -> MapSnapshot:
+        """The same cells as the core stores float64 ones: a known log odds of zero is -0.0, unknown +0.0."""
+        exact = self.log_odds.astype(np.float64)
+        cells = np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0)
+        model = LogOdds(cells="float64")
+        return MapSnapshot(cells, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)

@@ -1,0 +1,295 @@
+"""What a robot sends: its poses and scans, as Zenoh messages that a mapper integrates."""
+
+import numbers
+import operator
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import zenoh
+from numpy.typing import ArrayLike
+
+from ogm_client.errors import ClientError, nobody
+from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig, open_session, reason
+from ogm_core import messages
+from ogm_core.errors import BadMessage
+from ogm_core.keys import MapKeys, check_name
+from ogm_core.types import IDENTITY, Pose, PoseStamped, Ranges, Scan
+
+_POLL = 0.01
+_M = TypeVar("_M")
+
+
+class RobotPublisher:
+    """Publishes one robot's poses and scans to the mapper of a map.
+
+        with RobotPublisher("robot1") as robot:
+            robot.wait_for_mapper(5.0)
+            robot.publish_pose(1.0, 2.0, 0.5, stamp=now)
+            robot.publish_scan(ranges, angle_min=-1.57, angle_increment=0.01, range_min=0.1, range_max=30)
+
+    Every message is checked by the mapper's own rules before it is sent. Each publisher has a `run` of its
+    own, and each key counts its messages from 0 in `seq`, so that the mapper can tell duplicates and losses.
+
+    Messages that the network cannot take in time are dropped, so a slow link never stops a robot; with
+    `reliable`, publishing waits instead. A connection that breaks is made again by itself; what is published
+    meanwhile is lost either way.
+
+    Thread safety: poses and scans may be published from different threads, also those of one key; a lock per
+    key makes the order on the wire that of `seq`. Closing while another thread publishes makes that thread's
+    call raise ClientError.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        *,
+        address: str = DEFAULT_ADDRESS,
+        session: zenoh.Session | None = None,
+        map_name: str = "default",
+        run: str | None = None,
+        reliable: bool = False,
+    ) -> None:
+        """Connect to `address`, or use an open `session`, which stays open when the publisher closes.
+
+        `run` names this run of the robot; None makes a fresh one.
+
+        Raises:
+            BadSetting: a name cannot stand in a key, or the address is ill-formed.
+            CannotConnect: nothing takes connections at the address.
+        """
+        self.robot = check_name(robot, "robot")
+        self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
+        self._keys = MapKeys(map_name)
+        self._open = ExitStack()
+        self._closed = False
+        if session is None:
+            self._where = address
+            self._session = open_session(NetworkConfig(connect=(address,)))
+            self._open.callback(self._session.close)
+        else:
+            self._where = "the given session"
+            self._session = session
+        self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
+        self._channels: dict[str, _Channel] = {}
+        self._channels_lock = threading.Lock()
+        alive = self._keys.alive("robot", self.robot, self.run)
+        self._open.callback(self._session.liveliness().declare_token(alive).undeclare)
+
+    def publish_pose(self, x: float, y: float, theta: float, stamp: int | None = None) -> None:
+        """Publish the pose of the base in the map frame: metres, and radians counter-clockwise.
+
+        `stamp` in ns since the Unix epoch; None is now.
+
+        Raises:
+            BadMessage: a value is of the wrong type, or not finite; nothing is sent.
+            ClientError: the publisher or its session is closed.
+        """
+        pose = _pose((x, y, theta), "pose")
+        channel = self._pose_channel()
+        with channel.lock:
+            channel.put(_pose_payload(PoseStamped(_stamp(stamp), pose, channel.seq, self.run)))
+            channel.seq += 1
+
+    def publish_scan(
+        self,
+        ranges: ArrayLike,
+        *,
+        angle_min: float,
+        angle_increment: float,
+        range_min: float,
+        range_max: float,
+        sensor: str = "laser",
+        stamp: int | None = None,
+        time_increment: float = 0.0,
+        mount: Sequence[float] | None = None,
+        pose: Sequence[float] | None = None,
+    ) -> None:
+        """Publish one sweep; beam k looks along `angle_min + k * angle_increment` in the sensor frame.
+
+        Args:
+            ranges: metres, shape (N,), sent as float32; inf, or `range_max` and above, means "no return", NaN
+                "no measurement".
+            angle_min: bearing of the first beam, rad.
+            angle_increment: from beam to beam, rad; not 0, negative if clockwise.
+            range_min: nearer readings are no measurements, m.
+            range_max: readings from here on are no returns, m; at most 1000.
+            sensor: which of the robot's sensors.
+            stamp: time of the first beam, ns since the Unix epoch; None is now.
+            time_increment: from beam to beam, s.
+            mount: pose [x, y, theta] of the sensor in the base frame; None: they coincide.
+            pose: pose of the base in the map frame at `stamp`; None: the mapper asks the robot's poses.
+
+        Raises:
+            BadMessage: a value is of the wrong type or out of range; nothing is sent.
+            BadSetting: `sensor` cannot stand in a key.
+            ClientError: the publisher or its session is closed.
+        """
+        channel = self._scan_channel(sensor)
+        with channel.lock:
+            scan = Scan(
+                stamp=_stamp(stamp),
+                angle_min=_real(angle_min, "angle_min"),
+                angle_increment=_real(angle_increment, "angle_increment"),
+                range_min=_real(range_min, "range_min"),
+                range_max=_real(range_max, "range_max"),
+                ranges=_ranges(ranges),
+                time_increment=_real(time_increment, "time_increment"),
+                mount=IDENTITY if mount is None else _pose(mount, "mount"),
+                pose=None if pose is None else _pose(pose, "pose"),
+                seq=channel.seq,
+                run=self.run,
+            )
+            channel.put(_scan_payload(scan))
+            channel.seq += 1
+
+    def put_pose(self, message: PoseStamped) -> None:
+        """Send a pose message as it is, with the `run` and `seq` that it carries.
+
+        Raises:
+            BadMessage: a mapper would refuse it; nothing is sent.
+            ClientError: the publisher or its session is closed.
+        """
+        self._pose_channel().put(_pose_payload(message))
+
+    def put_scan(self, sensor: str, scan: Scan) -> None:
+        """Send a scan message as it is, with the `run` and `seq` that it carries.
+
+        Raises:
+            BadMessage: a mapper would refuse it; nothing is sent.
+            BadSetting: `sensor` cannot stand in a key.
+            ClientError: the publisher or its session is closed.
+        """
+        self._scan_channel(sensor).put(_scan_payload(scan))
+
+    def wait_for_mapper(self, timeout: float = 5.0) -> None:
+        """Return once somebody subscribes to this robot's poses; what was published before may be lost.
+
+        `timeout` in seconds.
+
+        Raises:
+            NobodyAnswered: nobody does in time.
+        """
+        deadline = time.monotonic() + timeout
+        channel = self._pose_channel()
+        while not channel.matched:
+            if time.monotonic() >= deadline:
+                raise nobody(self._keys.map_name, self._where, timeout)
+            time.sleep(_POLL)
+
+    def close(self) -> None:
+        """Withdraw from the network; a session that was given stays open. Closing twice does nothing."""
+        with self._channels_lock:
+            self._closed = True
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _pose_channel(self) -> "_Channel":
+        return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA)
+
+    def _scan_channel(self, sensor: str) -> "_Channel":
+        return self._channel(self._keys.scan(self.robot, sensor), messages.SCAN_SCHEMA)
+
+    def _channel(self, key: str, schema: str) -> "_Channel":
+        with self._channels_lock:
+            if self._closed:
+                raise ClientError(f"{key}: the publisher is closed")
+            channel = self._channels.get(key)
+            if channel is None:
+                encoding = zenoh.Encoding(messages.MEDIA_TYPE).with_schema(schema)
+                try:
+                    publisher = self._session.declare_publisher(
+                        key, encoding=encoding, congestion_control=self._congestion
+                    )
+                except zenoh.ZError as error:
+                    raise ClientError(f"{key}: cannot publish: {reason(error)}") from error
+                self._open.callback(publisher.undeclare)
+                channel = self._channels[key] = _Channel(publisher)
+        return channel
+
+
+class _Channel:
+    """One key: its publisher, the next `seq`, and the lock under which that is taken and sent."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self.publisher = publisher
+        self.seq = 0
+        self.lock = threading.Lock()
+
+    @property
+    def matched(self) -> bool:
+        """Whether anybody subscribes to the key."""
+        status: Any = self.publisher.matching_status  # a MatchingStatus; Zenoh's stub says bool
+        return bool(status.matching)
+
+    def put(self, payload: bytes) -> None:
+        try:
+            self.publisher.put(payload)
+        except zenoh.ZError as error:
+            raise ClientError(f"{self.publisher.key_expr}: not sent: {reason(error)}") from error
+
+
+def _pose_payload(message: PoseStamped) -> bytes:
+    payload = _encoded(messages.encode_pose, message)
+    messages.decode_pose(payload)  # the receiver's rules are the rules
+    return payload
+
+
+def _scan_payload(scan: Scan) -> bytes:
+    payload = _encoded(messages.encode_scan, scan)
+    messages.decode_scan(payload)
+    return payload
+
+
+def _encoded(encode: Callable[[_M], bytes], message: _M) -> bytes:
+    try:
+        return encode(message)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadMessage(f"the message cannot be encoded: {error}") from error
+
+
+def _stamp(value: int | None) -> int:
+    if value is None:
+        return time.time_ns()
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
+        raise BadMessage(f"stamp: a whole number of ns is needed, got {type(value).__name__}")
+    return operator.index(value)
+
+
+def _real(value: float, name: str) -> float:
+    """Accept any real number, numpy's too; a bool or a text is a mistake."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise BadMessage(f"{name}: a number is needed, got {type(value).__name__}")
+    return value if type(value) in (int, float) else float(value)
+
+
+def _pose(values: Sequence[float], name: str) -> Pose:
+    parts: list[Any] = list(values)
+    if len(parts) != 3:
+        raise BadMessage(f"{name}: [x, y, theta] is needed, got {len(parts)} values")
+    return Pose(*(_real(part, f"{name}[{i}]") for i, part in enumerate(parts)))
+
+
+def _ranges(values: ArrayLike) -> Ranges:
+    try:
+        ranges = np.asarray(values)
+    except ValueError as error:
+        raise BadMessage(f"ranges: {error}") from error
+    if ranges.ndim != 1 or ranges.dtype.kind not in "iuf":
+        raise BadMessage(
+            f"ranges: numbers, shape (N,), are needed (inf for no return), got {ranges.dtype} {ranges.shape}"
+        )
+    with np.errstate(over="ignore"):  # a reading past float32 is past every range_max, as inf is
+        return ranges.astype(np.float32)

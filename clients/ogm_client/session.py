@@ -1,0 +1,160 @@
+"""How a process joins Zenoh: the one place where sessions are configured and opened.
+
+Hermetic by default: a session talks to the endpoints that it is given and finds nobody else by itself, so two
+maps on one network never meet by accident, and tests leave loopback alone.
+"""
+
+import json
+import re
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import zenoh
+
+from ogm_client.errors import CannotConnect, CannotListen
+from ogm_core.errors import BadSetting
+
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+"""Where a mapper listens, and where clients and robots connect, unless told otherwise."""
+CONNECT_TIMEOUT = 2.0
+"""How long a connection is tried before it counts as failed, s: services may start in any order."""
+LEASE_MS = 2000
+"""A process that freezes counts as gone after this long, ms."""
+
+_RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
+_PORT_0 = re.compile(r"(?P<protocol>tcp|tls|ws)/(?P<host>.+):0(?P<rest>[?#].*)?")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkConfig:
+    """What a session listens on and connects to; endpoints as Zenoh writes them ("tcp/127.0.0.1:7447").
+
+    `mode` None: "peer" with an endpoint to listen on, else "client". `config_file`, a Zenoh JSON5 file,
+    replaces all of our defaults; `mode`, `listen` and `connect` still override what it says, if given.
+    `connect_timeout` in seconds; with a `config_file` the file decides.
+    """
+
+    mode: Literal["client", "peer"] | None = None
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    config_file: Path | None = None
+    connect_timeout: float = CONNECT_TIMEOUT
+
+
+def open_session(config: NetworkConfig) -> zenoh.Session:
+    """Open a session; the caller closes it (`with`), or its process hangs at exit.
+
+    Raises:
+        BadSetting: an endpoint or the configuration file is ill-formed, or there is no endpoint at all.
+        CannotConnect: nothing takes connections at the endpoints to connect to.
+        CannotListen: an endpoint to listen on is taken, or is not this machine's.
+    """
+    settings = _hermetic(config) if config.config_file is None else _from_file(config.config_file, config)
+    try:
+        return zenoh.open(settings)
+    except zenoh.ZError as error:
+        raise _failure(settings, error) from error
+
+
+def resolve_listen(endpoint: str) -> str:
+    """Replace port 0 of a TCP, TLS or WebSocket endpoint by a free port; any other endpoint stays as it is.
+
+    Zenoh binds port 0 as well, but has no way to ask which port it got. Another process can take the port
+    before it is listened on; `open_session` then raises CannotListen.
+
+    Raises:
+        CannotListen: the host is not an address of this machine.
+    """
+    match = _PORT_0.fullmatch(endpoint)
+    if match is None:
+        return endpoint
+    host = match["host"].strip("[]")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+            port = probe.getsockname()[1]
+    except OSError as error:
+        raise CannotListen(f"cannot listen on {endpoint}: {error.strerror or error}") from error
+    return f"{match['protocol']}/{match['host']}:{port}{match['rest'] or ''}"
+
+
+def reason(error: zenoh.ZError) -> str:
+    """What Zenoh says went wrong, on one line, without the source locations that it appends."""
+    return " ".join(re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).split()).rstrip(".!")
+
+
+def _hermetic(config: NetworkConfig) -> zenoh.Config:
+    if not (config.listen or config.connect):
+        raise BadSetting(
+            "network: nothing to listen on and nothing to connect to; give at least one endpoint"
+        )
+    settings = zenoh.Config()
+    _insert(settings, "mode", config.mode or ("peer" if config.listen else "client"))
+    # Without exit_on_failure a peer that cannot connect would start silently alone.
+    timeout_ms = round(config.connect_timeout * 1000)
+    _insert(settings, "connect", {"timeout_ms": timeout_ms, "exit_on_failure": True, "retry": _RETRY})
+    _insert(settings, "listen", {"timeout_ms": 0, "exit_on_failure": True})
+    # Set even if empty: a peer's own default listens on every interface.
+    _insert(settings, "listen/endpoints", config.listen)
+    _insert(settings, "connect/endpoints", config.connect)
+    _insert(settings, "scouting/multicast/enabled", False)
+    _insert(settings, "scouting/gossip/enabled", False)
+    # Zenoh's default sends payloads of 3 KB and up through /dev/shm, which containers share or not; scans are
+    # around that size, and loopback TCP carries far more of them than a mapper can integrate.
+    _insert(settings, "transport/shared_memory/enabled", False)
+    _insert(settings, "transport/link/tx/lease", LEASE_MS)
+    return settings
+
+
+def _from_file(path: Path, config: NetworkConfig) -> zenoh.Config:
+    if not path.is_file():
+        raise BadSetting(f"zenoh configuration {path}: no such file")
+    try:
+        settings = zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise BadSetting(f"zenoh configuration {path}: {reason(error)}") from error
+    if config.mode is not None:
+        _insert(settings, "mode", config.mode)
+    if config.listen:
+        _insert(settings, "listen/endpoints", config.listen)
+    if config.connect:
+        _insert(settings, "connect/endpoints", config.connect)
+    return settings
+
+
+def _insert(settings: zenoh.Config, key: str, value: Any) -> None:  # noqa: ANN401 - any JSON value
+    try:
+        settings.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        if not key.endswith("endpoints"):
+            raise
+        raise BadSetting(
+            f"{key.split('/')[0]} {', '.join(value)}: an endpoint looks like {DEFAULT_ADDRESS}"
+        ) from error
+
+
+def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | CannotListen:
+    text = reason(error)
+    listen, connect = _endpoints(settings, "listen"), _endpoints(settings, "connect")
+    if connect and (not listen or text.startswith("Unable to connect")):
+        return CannotConnect(
+            f"cannot connect to {connect}: is a mapper running there? Start one with `ogm mapper`, or give "
+            "the address of a running mapper or Zenoh router"
+        )
+    if listen:
+        return CannotListen(
+            f"cannot listen on {listen}: {text.rpartition(': ')[2].rstrip(']')}. Is another mapper running? "
+            "Choose another address (--listen); port 0 takes a free one"
+        )
+    return CannotConnect(f"cannot open a Zenoh session: {text}")
+
+
+def _endpoints(settings: zenoh.Config, key: str) -> str:
+    """The endpoints of a configuration, as text; "" if there are none."""
+    value = json.loads(settings.get_json(f"{key}/endpoints"))
+    if isinstance(value, dict):  # one list per mode
+        value = value.get(json.loads(settings.get_json("mode")) or "peer")
+    return ", ".join(str(endpoint) for endpoint in value or [])

@@ -1,0 +1,57 @@
+"""What a map is made of: the settings of an `OccupancyGrid`. Light: loads no kernels."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ogm_core.errors import BadSetting
+from ogm_core.lattice import CellRect, Lattice, Region, bounded
+from ogm_core.logodds import LogOdds
+
+Outside = Literal["clip", "drop"]
+
+DEFAULT_MAX_CELLS = 100_000_000
+DEFAULT_MAX_BYTES = 2 * 1024**3
+
+
+@dataclass(frozen=True)
+class GridSettings:
+    """Settings of a map, checked against each other.
+
+    `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range` (no return
+    clears no farther) in metres; `bounds` in the map frame, None for an unbounded map. `outside`: what
+    happens to a beam that leaves the bounds. `max_cells` limits the known rectangle, `max_bytes` what the
+    map allocates.
+
+    Raises:
+        BadSetting: a value is out of range, or the bounds do not fit the resolution or `max_cells`.
+    """
+
+    resolution: float = 0.05
+    model: LogOdds = field(default_factory=LogOdds)
+    alpha: float = 0.1
+    reach: float | None = None
+    clear_range: float | None = None
+    bounds: Region | None = None
+    outside: Outside = "clip"
+    max_cells: int = DEFAULT_MAX_CELLS
+    max_bytes: int = DEFAULT_MAX_BYTES
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.alpha) and self.alpha >= 0.0):
+            raise BadSetting(f"alpha: 0 m or more is needed, got {self.alpha:g}")
+        if self.reach is not None and not self.reach > 0.0:
+            raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
+        if self.clear_range is not None and not self.clear_range >= 0.0:
+            raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
+        _, rect = self.lattice()
+        if rect is not None and rect.cells > self.max_cells:
+            raise BadSetting(
+                f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
+            )
+
+    def lattice(self) -> tuple[Lattice, CellRect | None]:
+        """The map's lattice, and the cells of its bounds if it has any."""
+        if self.bounds is None:
+            return Lattice(self.resolution), None
+        return bounded(self.resolution, self.bounds)

@@ -1,0 +1,141 @@
+"""Quality figures of a map: entropy, areas, consistency with its scans, prediction of held-out scans."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core import judge
+from ogm_core.grid_settings import GridSettings
+from ogm_core.logodds import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.projection import beam_model, end_cells, read_only
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.types import Pose, Scan
+
+PlacedScan = tuple[Scan, Pose]
+"""A scan and the pose of its sensor in the map frame."""
+
+JUDGED_SHORTER_THAN = 15.0
+CAST_UP_TO = 25.0
+DECIDED = 0.6
+"""A cell counts as a wall, or as free, if its log odds differ from the prior's by more than this."""
+
+
+def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
+    """Entropy over known cells, in bits and as a mean per cell, and areas by class in m2.
+
+    H = -sum(p log2 p + (1 - p) log2(1 - p)). Free and occupied are those of the trinary map.
+    """
+    values, counts = _known_probabilities(snapshot)
+    known = int(counts.sum())
+    entropy = float((counts * _entropy(values)).sum())
+    cell = snapshot.lattice.resolution**2
+    return {
+        "entropy_bits": entropy,
+        "mean_entropy_bits": entropy / known if known else None,
+        "known_m2": known * cell,
+        "free_m2": int(counts[values < FREE_BELOW].sum()) * cell,
+        "occupied_m2": int(counts[values > OCCUPIED_ABOVE].sum()) * cell,
+    }
+
+
+class Consistency:
+    """Share of hit end cells with p > 0.5, and of traversed cells with p < 0.5, in a finished map."""
+
+    def __init__(self, snapshot: MapSnapshot, settings: GridSettings) -> None:
+        self._settings = settings
+        self._snapshot = snapshot
+        self._beliefs = snapshot.model.encode(snapshot.cells, _side_of_half)
+        self._counts = np.zeros(4, np.int64)
+
+    def add(self, scan: Scan, pose: Pose) -> None:
+        """Judge a scan that was integrated at the sensor's `pose`."""
+        ends, (i0, j0) = end_cells(scan, pose, self._snapshot.lattice, self._settings)
+        ix, iy = self._snapshot.offset
+        ends[0] -= ix
+        ends[1] -= iy
+        self._counts += judge.agreement(ends, i0 - ix, j0 - iy, self._beliefs)
+
+    def figures(self) -> dict[str, float | None]:
+        """The shares, None where nothing was judged."""
+        hits, occupied, passed, free = map(int, self._counts)
+        return {"hits": occupied / hits if hits else None, "free": free / passed if passed else None}
+
+
+def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[PlacedScan]) -> dict[str, Any]:
+    """How well the map predicts scans that are not in it.
+
+    Judged are their hits shorter than 15 m; each is cast up to 25 m through the map and ends where it enters
+    the first cell with l - l0 > 0.6, or in the unknown if a cell that is not clearly free comes first. Shares
+    are of all judged beams, the median error is of those that found a wall.
+    """
+    beliefs = _decided(snapshot)
+    parts = [_predict(snapshot, settings, beliefs, scan, pose) for scan, pose in scans]
+    measured, found, predicted = np.concatenate([np.empty((3, 0)), *parts], axis=1)
+    error = np.abs(predicted - measured)
+    walls = found == judge.FOUND_WALL
+    judged = measured.size
+
+    def share(beams: NDArray[np.bool_]) -> float | None:
+        return float(np.count_nonzero(beams)) / judged if judged else None
+
+    return {
+        "beams": judged,
+        "median_abs_m": float(np.median(error[walls])) if walls.any() else None,
+        "within_0_1_m": share(walls & (error <= 0.1)),
+        "within_0_2_m": share(walls & (error <= 0.2)),
+        "into_unknown": share(found == judge.FOUND_UNKNOWN),
+    }
+
+
+def _known_probabilities(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Every probability of the known cells once, and how many have it."""
+    cells = snapshot.cells
+    if cells.dtype == np.int16:
+        counts = np.bincount(cells.view(np.uint16).ravel(), minlength=2**16)
+        values = np.arange(2**16, dtype=np.uint16).view(np.int16)
+        counts[0] = 0
+    else:
+        values, counts = np.unique(cells[snapshot.model.known(cells)], return_counts=True)
+    return snapshot.model.probability(values), counts
+
+
+def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    q = 1.0 - p
+    # The limit of p log p is 0, where the logarithm has none.
+    return -(p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
+
+
+def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    sides = np.where(p > 0.5, judge.OCCUPIED, np.where(p < 0.5, judge.FREE, judge.UNDECIDED))
+    return np.where(known, sides, 0).astype(np.uint8)
+
+
+def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
+    evidence = snapshot.model.log_odds(snapshot.cells) - snapshot.model.l0
+    beliefs = np.full(evidence.shape, judge.UNDECIDED, np.uint8)
+    beliefs[evidence > DECIDED] = judge.OCCUPIED
+    beliefs[evidence < -DECIDED] = judge.FREE
+    return beliefs
+
+
+def _predict(
+    snapshot: MapSnapshot, settings: GridSettings, beliefs: NDArray[np.uint8], scan: Scan, pose: Pose
+) -> NDArray[np.float64]:
+    resolution = snapshot.lattice.resolution
+    anchor, offset = snapshot.lattice.anchor, snapshot.offset
+    u = (pose.x - anchor[0]) / resolution - offset[0]
+    v = (pose.y - anchor[1]) / resolution - offset[1]
+    judged: NDArray[np.float64] = judge.predict_ranges(
+        read_only(scan.ranges),
+        *beam_model(scan, settings),
+        u,
+        v,
+        float(pose.theta),
+        float(resolution),
+        JUDGED_SHORTER_THAN,
+        CAST_UP_TO,
+        beliefs,
+    )
+    return judged

@@ -1,0 +1,42 @@
+"""One message of a recorded log, whatever the log's format."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ogm_core.types import PoseStamped, Ranges, Scan
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedPose:
+    """A pose message and whose it is."""
+
+    robot: str
+    message: PoseStamped
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedScan:
+    """A scan message and whose it is."""
+
+    robot: str
+    sensor: str
+    message: Scan
+
+
+Recorded = RecordedPose | RecordedScan
+
+
+def text_ranges(values: Sequence[float]) -> Ranges:
+    """Ranges that were written as decimal numbers, m: float32, shape (N,), read-only.
+
+    What is beyond float32 reads as infinite.
+
+    Raises:
+        OverflowError: a whole number is beyond float64.
+    """
+    with np.errstate(over="ignore"):
+        ranges = np.array(values, dtype=np.float64).astype(np.float32)
+    ranges.flags.writeable = False
+    return ranges

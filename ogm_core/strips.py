@@ -1,0 +1,121 @@
+"""Where a map's cells lie in memory: column strips, 64 cells wide.
+
+    strip 0        strip 1              A strip holds 64 columns, row after row, so
+    +--------+     +--------+
+    | tile   |     | tile   |               address(i, j) = column[i] + 64 j
+    +--------+     +--------+
+    | tile   |     | tile   |           with a table `column` of one number a column: no tile look-up per
+    +--------+     +--------+           cell, and every 64 x 64 tile is one contiguous block.
+
+The memory is a private anonymous mapping: the system gives zeroed pages when they are first written, so a
+stored 0 ("never updated", see ogm_core.logodds) costs nothing until a beam comes by.
+"""
+
+import mmap
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.errors import LimitReached
+from ogm_core.lattice import CellRect
+
+TILE = 64
+_TILE_CELLS = TILE * TILE
+
+
+class StripStore:
+    """Cells of a rectangle of whole tiles, all unknown at first. Owned by the map's one writer."""
+
+    def __init__(self, rect: CellRect, dtype: np.dtype[Any]) -> None:
+        """Reserve room for every cell of `rect`, rounded outward to tiles.
+
+        Raises:
+            LimitReached: the system refuses the address space.
+        """
+        tx, ty = rect.ix // TILE, rect.iy // TILE
+        shape = -(-(rect.ix + rect.width) // TILE) - tx, -(-(rect.iy + rect.height) // TILE) - ty
+        self.rect = CellRect(tx * TILE, ty * TILE, shape[0] * TILE, shape[1] * TILE)
+        strip_cells = shape[1] * _TILE_CELLS
+        self.cells = _untouched(shape[0] * strip_cells, dtype)
+        columns = np.arange(self.rect.width)
+        self.column: NDArray[np.int64] = (columns // TILE) * strip_cells + columns % TILE
+        self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
+        """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
+        self.tiles_used = 0
+
+    @property
+    def tile_bytes(self) -> int:
+        """Memory of one tile."""
+        return _TILE_CELLS * self.cells.itemsize
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the tiles that were ever written, and of the tables."""
+        return self.tiles_used * self.tile_bytes + self.column.nbytes + self.touched.nbytes
+
+    def grown(self, rect: CellRect) -> "StripStore":
+        """A store that also covers `rect`, with room to spare where it grew; its cells follow by `take`.
+
+        Room in proportion to the size keeps the sum of all copies linear in the final size. What it will hold
+        is known before anything is copied.
+        """
+        if not self.rect.cells:
+            return StripStore(rect, self.cells.dtype)
+        west = self.rect.width // 2 if rect.ix < self.rect.ix else 0
+        south = self.rect.height // 2 if rect.iy < self.rect.iy else 0
+        wanted = self.rect.union(rect)
+        east = self.rect.width // 2 if wanted.ix + wanted.width > self.rect.ix + self.rect.width else 0
+        north = self.rect.height // 2 if wanted.iy + wanted.height > self.rect.iy + self.rect.height else 0
+        roomy = CellRect(
+            wanted.ix - west, wanted.iy - south, wanted.width + west + east, wanted.height + south + north
+        )
+        store = StripStore(roomy, self.cells.dtype)
+        dx, dy = store._tile_of(self)
+        width, height = self.touched.shape
+        store.touched[dx : dx + width, dy : dy + height] = self.touched
+        store.tiles_used = self.tiles_used
+        return store
+
+    def take(self, other: "StripStore") -> None:
+        """Copy every tile that was written in `other`, which this store was grown from, and nothing else."""
+        dx, dy = self._tile_of(other)
+        source = other.cells.reshape(*other.touched.shape, _TILE_CELLS)
+        target = self.cells.reshape(*self.touched.shape, _TILE_CELLS)
+        for tx in range(other.touched.shape[0]):
+            rows = np.flatnonzero(other.touched[tx])
+            target[tx + dx, rows + dy] = source[tx, rows]
+
+    def _tile_of(self, other: "StripStore") -> tuple[int, int]:
+        """Tile of this store that holds the lower-left cell of `other`."""
+        return (other.rect.ix - self.rect.ix) // TILE, (other.rect.iy - self.rect.iy) // TILE
+
+    def untouched_tiles(self, rect: CellRect) -> int:
+        """How many of the tiles that `rect`, which lies inside, meets were never written."""
+        left, bottom = rect.ix - self.rect.ix, rect.iy - self.rect.iy
+        right, top = left + rect.width - 1, bottom + rect.height - 1
+        met = self.touched[left // TILE : right // TILE + 1, bottom // TILE : top // TILE + 1]
+        return met.size - int(np.count_nonzero(met))
+
+    def read(self, rect: CellRect) -> NDArray[Any]:
+        """Copy of the stored cells of `rect`, which lies inside; shape (height, width), [iy, ix]."""
+        dense = np.empty((rect.height, rect.width), self.cells.dtype)
+        left, bottom = rect.ix - self.rect.ix, rect.iy - self.rect.iy
+        strips = self.cells.reshape(self.touched.shape[0], self.rect.height, TILE)
+        for s in range(left // TILE, -(-(left + rect.width) // TILE)):
+            first, last = max(left, s * TILE), min(left + rect.width, (s + 1) * TILE)
+            rows = strips[s, bottom : bottom + rect.height]
+            dense[:, first - left : last - left] = rows[:, first - s * TILE : last - s * TILE]
+        return dense
+
+
+def _untouched(size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Zeroed array of shape (size,) whose pages exist only once they are written."""
+    try:
+        memory = mmap.mmap(-1, max(size, 1) * dtype.itemsize, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    except (OSError, OverflowError, MemoryError) as error:
+        raise LimitReached(f"no address space for {size} cells: {error}") from error
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        # A huge page would make 2 MB of the first cell that is written in it.
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype, size)

@@ -1,0 +1,148 @@
+"""`ogm build`: a map of a recorded log, without network.
+
+The log goes through the same Mapper as live messages do, in file order. A second pass over it judges how
+well the finished map agrees with the scans that made it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from ogm_core.errors import MapEmpty, ScanRefused
+from ogm_core.grid import OccupancyGrid
+from ogm_core.quality import Consistency, PlacedScan, held_out, map_figures
+from ogm_core.recordings import RecordedScan, RecordingReader
+from ogm_core.types import Pose, Scan
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.mapper import Mapper, ScanSink
+from ogm_services.output import write_map
+from ogm_services.progress import progress_bar
+from ogm_services.settings import Settings
+
+
+def run_build(
+    log: Path,
+    out: Path,
+    settings: Settings,
+    *,
+    range_max: float | None,
+    robot: str | None,
+    hold_out: int | None,
+) -> None:
+    """Map a log and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
+
+    `hold_out` N keeps scan i of the file out of the map if i % N == N // 2, and judges the map by it.
+
+    Raises:
+        BadRecording: the log cannot be read or holds no scan; nothing is written.
+        MapEmpty: no scan changed the map; nothing is written.
+    """
+    max_beams = settings.mapper.max_beams
+
+    def reader() -> RecordingReader:
+        return RecordingReader(log, range_max=range_max, robot=robot, max_beams=max_beams)
+
+    grid = OccupancyGrid(settings.grid_settings())
+    first = _MapPass(grid)
+    ledger = Ledger()
+    with reader() as messages:
+        _feed(messages, first, ledger, hold_out, "mapping")
+    snapshot = grid.snapshot()
+    report = _report(messages, ledger, first)
+    if snapshot.empty or not grid.cell_updates:
+        raise MapEmpty(f"{log}: no scan changed the map ({report})")
+    consistency = Consistency(snapshot, grid.settings)
+    with reader() as messages:
+        _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+    quality: dict[str, Any] = {
+        **map_figures(snapshot),
+        "consistency": consistency.figures(),
+        "scans": grid.revision,
+        "cell_updates": grid.cell_updates,
+    }
+    if hold_out is not None:
+        quality["held_out"] = held_out(snapshot, grid.settings, first.held)
+    write_map(out, snapshot, quality)
+    typer.echo(f"{out}: {report}")
+
+
+class _Pass(ScanSink):
+    """What both passes over a log need: which scans stay out of the map."""
+
+    withheld: set[Scan]
+
+
+@dataclass
+class _MapPass(_Pass):
+    """First pass: scans go into the map, or aside if they are held out."""
+
+    grid: OccupancyGrid
+    withheld: set[Scan] = field(default_factory=set)
+    held: list[PlacedScan] = field(default_factory=list)
+    accepted: list[bool] = field(default_factory=list)
+    """Of every scan that was placed and not held out, in order: whether the map took it."""
+
+    def integrate(self, scan: Scan, pose: Pose) -> int:
+        """Put a scan into the map, or aside."""
+        if scan in self.withheld:
+            self.withheld.remove(scan)
+            self.held.append((scan, pose))
+            return 0
+        self.accepted.append(False)
+        updates = self.grid.integrate(scan, pose)
+        self.accepted[-1] = True
+        return updates
+
+
+@dataclass
+class _JudgePass(_Pass):
+    """Second pass: the scans that are in the map are held against it."""
+
+    consistency: Consistency
+    accepted: Iterator[bool]
+    withheld: set[Scan] = field(default_factory=set)
+
+    def integrate(self, scan: Scan, pose: Pose) -> int:
+        """Judge a scan, if the map took it."""
+        if scan in self.withheld:
+            self.withheld.remove(scan)
+        elif not next(self.accepted):
+            raise ScanRefused("the map did not take it")
+        else:
+            self.consistency.add(scan, pose)
+        return 0
+
+
+def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int | None, text: str) -> None:
+    """Send a log through a mapper, up to and including what waits for poses at its end."""
+    mapper = Mapper(sink, ledger)
+    index = 0
+    with progress_bar(text, messages.size) as bar:
+        for message in messages:
+            if isinstance(message, RecordedScan):
+                if hold_out is not None and index % hold_out == hold_out // 2:
+                    sink.withheld.add(message.message)
+                index += 1
+                ledger.scan_received(message.robot, message.sensor)
+                mapper.add_scan(message.robot, message.sensor, message.message)
+                bar.at(messages.position)
+            else:
+                ledger.pose_received(message.robot)
+                mapper.add_pose(message.robot, message.message)
+    mapper.finish()
+
+
+def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
+    books = ledger.status()
+    parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
+    if first.held:
+        parts.append(f"{len(first.held)} held out")
+    parts += [f"{count} dropped: {reason}" for reason, count in books["scans"]["dropped"].items() if count]
+    if books["poses"]["late"]:
+        parts.append(f"{books['poses']['late']} poses late")
+    if messages.malformed:
+        parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
+    return ", ".join(parts)

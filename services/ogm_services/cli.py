@@ -1,0 +1,278 @@
+"""`ogm`, the command line: one command per service, and what fetches from a running mapper.
+
+Commands import what they need when they run, so that `ogm --help` answers at once.
+"""
+
+import json
+import math
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ogm_core.errors import BadInput
+from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, running_service
+from ogm_services.options import (
+    ConfigFile,
+    HttpFlags,
+    LogFlags,
+    MapFlags,
+    NetworkFlags,
+    settings_from,
+    with_flag_groups,
+)
+from ogm_services.setting_values import LOOPBACK
+from ogm_services.simulator_options import SimulatorOptions
+
+app = typer.Typer(
+    name="ogm",
+    cls=OneLineErrors,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Live occupancy grid maps from robots' poses and 2D LiDAR scans, over Zenoh and HTTP.",
+)
+
+
+def main() -> None:
+    """Run the program."""
+    app(prog_name="ogm")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"ogm {version('zenoh-ogm')}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    """Take the program's own flags; the commands do the work."""
+
+
+World = Annotated[
+    str, typer.Option(metavar="WORLD", help="lab, office, or a YAML file: a nav2 map, or a world of ours.")
+]
+MapperOut = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here."
+    ),
+]
+Url = Annotated[
+    str,
+    typer.Option(
+        metavar="URL", help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT."
+    ),
+]
+MapName = Annotated[
+    str, typer.Option("--map", metavar="NAME", help="Name of the map; over HTTP it says itself.")
+]
+Log = Annotated[
+    Path, typer.Argument(metavar="LOG", help="Recording (.jsonl, .jsonl.gz) or CARMEN log (.log, .clf).")
+]
+
+
+@app.command()
+@with_flag_groups
+def demo(
+    map_flags: MapFlags,
+    network: NetworkFlags,
+    http: HttpFlags,
+    config: ConfigFile = None,
+    world: World = "lab",
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="End this long after the first scan in the map (default: never)."
+        ),
+    ] = None,
+    out: MapperOut = None,
+) -> None:
+    """Start a simulator and a mapper on this machine, and print the URL of the live map."""
+    if duration is not None and not 0.0 < duration < math.inf:
+        raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
+    settings = settings_from(config, map_flags, network, http)
+    from ogm_services.demo import run_demo
+
+    with running_service():
+        run_demo(settings, world=world, duration=duration, out=out)
+
+
+@app.command()
+@with_flag_groups
+def mapper(
+    map_flags: MapFlags,
+    network: NetworkFlags,
+    http: HttpFlags,
+    config: ConfigFile = None,
+    out: MapperOut = None,
+) -> None:
+    """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
+    settings = settings_from(config, map_flags, network, http)
+    from ogm_services.mapper.service import run_mapper
+
+    with running_service():
+        run_mapper(settings, out)
+
+
+@app.command()
+@with_flag_groups
+def simulate(
+    network: NetworkFlags,
+    config: ConfigFile = None,
+    world: World = "lab",
+    robots: Annotated[int, typer.Option(metavar="N", help="How many robots drive.")] = 1,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Scans a second of each robot.")] = 20.0,
+    seed: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Seed of the noise: equal seeds, equal ranges (default: fresh)."),
+    ] = None,
+    beams: Annotated[int | None, typer.Option(metavar="N", help="Beams of a scan (default: 360).")] = None,
+    fov: Annotated[
+        float | None, typer.Option(metavar="DEGREES", help="Field of view in degrees (default: 360).")
+    ] = None,
+    range_max: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Range of the LiDAR (default: 8).")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Standard deviation of a range (default: 0.02).")
+    ] = None,
+    scans: Annotated[
+        int | None, typer.Option(metavar="N", help="End after N scans of each robot; needed with --out.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz), without network."
+        ),
+    ] = None,
+) -> None:
+    """Drive simulated robots through a world and publish their poses and scans, or record them."""
+    radians = None if fov is None else math.radians(fov)
+    options = SimulatorOptions(world, robots, rate, seed, beams, radians, range_max, noise, scans)
+    settings = settings_from(config, network)
+    if out is not None and scans is None:
+        raise BadInput("--out needs --scans N: a recording has an end")
+    from ogm_services.simulator import record, run_simulator
+
+    if out is not None:
+        record(options, out)
+        return
+    with running_service():
+        run_simulator(settings.network, options)
+
+
+def _speed(text: str) -> float | None:
+    """Factor of --speed; None for "max"."""
+    if text == "max":
+        return None
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not 0.0 < factor < math.inf:
+        raise BadInput(f"--speed: a number above 0, or max, is needed, got {text!r}")
+    return factor
+
+
+@app.command()
+@with_flag_groups
+def replay(
+    log: Log,
+    network: NetworkFlags,
+    log_flags: LogFlags,
+    config: ConfigFile = None,
+    speed: Annotated[
+        str,
+        typer.Option(metavar="FACTOR|max", help="1: as recorded, 2: twice as fast, max: as the mapper can."),
+    ] = "1",
+) -> None:
+    """Publish a recorded log as its robots did."""
+    factor = _speed(speed)
+    settings = settings_from(config, network)
+    from ogm_services.replay import run_replay
+
+    with running_service(interrupted=INTERRUPTED):
+        run_replay(log, settings.network, speed=factor, range_max=log_flags.range_max, robot=log_flags.robot)
+
+
+@app.command()
+@with_flag_groups
+def build(
+    log: Log,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here."),
+    ],
+    map_flags: MapFlags,
+    log_flags: LogFlags,
+    config: ConfigFile = None,
+    hold_out: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Keep every Nth scan (N >= 2) out of the map, and judge the map by it."
+        ),
+    ] = None,
+) -> None:
+    """Make a map of a recorded log, without network."""
+    if hold_out is not None and hold_out < 2:
+        raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
+    settings = settings_from(config, map_flags)
+    from ogm_services.build import run_build
+
+    run_build(
+        log,
+        out,
+        settings,
+        range_max=log_flags.range_max,
+        robot=log_flags.robot,
+        hold_out=hold_out,
+    )
+
+
+@app.command()
+def get(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="map.png, map.yaml (with its PGM), map.json?region=0,0,5,5, ..."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; - for stdout.")],
+    url: Url = LOOPBACK,
+    map_name: MapName = "default",
+) -> None:
+    """Fetch a file from a running mapper."""
+    from ogm_client import MapClient
+    from ogm_services.fetch import fetch
+
+    with MapClient(url, map_name=map_name) as client:
+        fetch(client, name, out, sys.stdout.buffer)
+
+
+@app.command()
+def status(
+    url: Url = LOOPBACK,
+    map_name: MapName = "default",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Show what a running mapper is doing."""
+    from ogm_client import MapClient
+
+    with MapClient(url, map_name=map_name) as client:
+        answer = client.status()
+    if as_json:
+        typer.echo(json.dumps(answer, indent=2))
+        return
+    from rich.console import Console
+
+    from ogm_services.fetch import status_tables
+
+    console = Console()
+    for table in status_tables(answer):
+        console.print(table)

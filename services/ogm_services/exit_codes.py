@@ -1,0 +1,68 @@
+"""How commands end: 0 done, 1 a failure at run time, 2 bad usage or bad input; why, in one line on stderr."""
+
+import logging
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from ogm_core.errors import BadInput, OgmError
+
+FAILED = 1
+BAD_INPUT = 2
+INTERRUPTED = 130
+"""Ctrl-C kept a command from finishing; the code that shells use for it."""
+
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+# Typer brings its own copy of click since 0.26: this is the UsageError of whichever it uses.
+UsageError: Any = typer.BadParameter.__bases__[0]
+
+
+class OneLineErrors(TyperGroup):
+    """A program that says in one line what is wrong; only bugs show a traceback."""
+
+    def main(self, *args: Any, **extra: Any) -> NoReturn:  # noqa: ANN401 (typer's own signature)
+        """Run a command and exit."""
+        try:
+            code = super().main(*args, **{**extra, "standalone_mode": False})
+        except UsageError as error:
+            command = error.ctx.command_path if error.ctx else "ogm"
+            code = _complain(f"{error.format_message().rstrip('.')} (see {command} --help)", BAD_INPUT)
+        except OgmError as error:
+            code = _complain(str(error), BAD_INPUT if isinstance(error, BadInput) else FAILED)
+        except typer.Abort:
+            code = INTERRUPTED
+        sys.exit(code)
+
+
+def _complain(text: str, code: int) -> int:
+    typer.echo(f"ogm: {' '.join(text.split())}", err=True)
+    return code
+
+
+@contextmanager
+def running_service(interrupted: int = 0) -> Iterator[None]:
+    """Log to stderr; Ctrl-C and SIGTERM alike end what runs inside, with exit code `interrupted`.
+
+    A second signal is ignored: what runs inside then stops already, in bounded time, and may be writing.
+    """
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+
+    def interrupt(*_: object) -> NoReturn:
+        for number in _ENDING:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in _ENDING}
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise typer.Exit(interrupted) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,205 @@
+"""What the mapper answers, over HTTP and Zenoh alike: a name and its parameters in, bytes out."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ogm_core.errors import BadParameter, OgmError
+from ogm_core.lattice import Region
+from ogm_core.map_files import encode_json, encode_npz, encode_pgm, encode_png, encode_yaml
+from ogm_core.snapshot import MapSnapshot
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.live_map import LiveMap
+
+Parameters = Mapping[str, str]
+
+CACHED_ANSWERS = 8
+"""Encoded maps of the current revision that are kept."""
+
+
+class UnknownName(OgmError):
+    """Nothing of that name is served."""
+
+    slug = "not-found"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A body, its media type, and for a map what `MapSnapshot.meta` says of it."""
+
+    body: bytes
+    media_type: str
+    meta: dict[str, Any] | None = None
+
+    @property
+    def etag(self) -> str | None:
+        """Strong validator of a map: its epoch and revision."""
+        return None if self.meta is None else f'"{self.meta["epoch"]}-{self.meta["revision"]}"'
+
+
+@dataclass(frozen=True, slots=True)
+class _MapFormat:
+    media_type: str
+    parameters: frozenset[str]
+    encode: Callable[[MapSnapshot, str, Parameters], bytes]
+
+
+MAP_FORMATS: dict[str, _MapFormat] = {
+    "png": _MapFormat(
+        "image/png",
+        frozenset({"region", "palette", "max_size"}),
+        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", "ros")),
+    ),
+    "json": _MapFormat(
+        "application/json",
+        frozenset({"region", "values"}),
+        lambda snapshot, name, given: encode_json(snapshot, name, given.get("values", "percent")),
+    ),
+    "pgm": _MapFormat(
+        "image/x-portable-graymap",
+        frozenset({"region", "palette"}),
+        lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", "ros")),
+    ),
+    "yaml": _MapFormat(
+        "application/yaml", frozenset({"region"}), lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
+    ),
+    "npz": _MapFormat("application/x-npz", frozenset({"region"}), lambda snapshot, *_: encode_npz(snapshot)),
+}
+
+
+class Answers:
+    """Everything that can be asked of a mapper. Any thread; nothing here waits for the network."""
+
+    def __init__(self, map_name: str, live_map: LiveMap, ledger: Ledger) -> None:
+        self._map_name = map_name
+        self._map = live_map
+        self._ledger = ledger
+        self._started = time.monotonic()
+        self._cache = _AnswerCache()
+
+    def map(self, form: str, given: Parameters) -> Answer:
+        """The map in a format of MAP_FORMATS.
+
+        Raises:
+            UnknownName: there is no such format.
+            BadParameter: a parameter is unknown or ill-formed, or its region misses the map.
+            MapEmpty: a picture of a map without a known cell.
+        """
+        if form not in MAP_FORMATS:
+            raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {form!r}")
+        wanted = MAP_FORMATS[form]
+        _check_names(given, wanted.parameters)
+        snapshot = self._map.snapshot()
+        key = (form, tuple(sorted(given.items())))
+        answer = self._cache.find(snapshot, key)
+        if answer is None:
+            cut = _shrunk(_cropped(snapshot, given), given)
+            body = wanted.encode(cut, self._map_name, given)
+            answer = Answer(body, wanted.media_type, cut.meta())
+            self._cache.keep(snapshot, key, answer)
+        return answer
+
+    def cell(self, given: Parameters) -> Answer:
+        """One cell: indices, whether it is known, and its log odds and probability if so.
+
+        Raises:
+            BadParameter: x or y is missing or is not a coordinate.
+        """
+        _check_names(given, {"x", "y"})
+        x, y = (_number(name, given.get(name)) for name in "xy")
+        snapshot = self._map.snapshot()
+        ix, iy = snapshot.lattice.cell_of(x, y)
+        column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
+        reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
+        reply |= {"log_odds": None, "probability": None}
+        if 0 <= column < snapshot.width and 0 <= row < snapshot.height:
+            cells = snapshot.cells[row : row + 1, column : column + 1]
+            if snapshot.model.known(cells).item():
+                log_odds = snapshot.model.log_odds(cells).item()
+                probability = snapshot.model.probability(cells).item()
+                reply |= {"known": True, "log_odds": log_odds, "probability": probability}
+        return _json(reply)
+
+    def quality(self, given: Parameters) -> Answer:
+        """The quality figures."""
+        _check_names(given, ())
+        return _json(self._map.quality())
+
+    def status(self, given: Parameters) -> Answer:
+        """The mapper's status."""
+        _check_names(given, ())
+        return _json(self.status_fields())
+
+    def status_fields(self) -> dict[str, Any]:
+        """The mapper's status, not yet encoded."""
+        books = self._ledger.status()
+        return {
+            "map": self._map_name,
+            **self._map.identity(),
+            "scans": books["scans"],
+            "poses": books["poses"],
+            "other": books["other"],
+            "map_info": self._map.info(),
+            "robots": books["robots"],
+            "uptime_s": time.monotonic() - self._started,
+        }
+
+
+class _AnswerCache:
+    """Encoded answers of the newest revision."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._of: MapSnapshot | None = None
+        self._answers: dict[Any, Answer] = {}
+
+    def find(self, snapshot: MapSnapshot, key: object) -> Answer | None:
+        with self._lock:
+            return self._answers.get(key) if self._of is snapshot else None
+
+    def keep(self, snapshot: MapSnapshot, key: object, answer: Answer) -> None:
+        with self._lock:
+            if self._of is not snapshot or len(self._answers) >= CACHED_ANSWERS:
+                self._of, self._answers = snapshot, {}
+            self._answers[key] = answer
+
+
+def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:
+    for name in given:
+        if name not in allowed:
+            listed = ", ".join(sorted(allowed)) or "none"
+            raise BadParameter(f"{name}: unknown parameter; there are: {listed}")
+
+
+def _cropped(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
+    if "region" not in given:
+        return snapshot
+    parts = given["region"].split(",")
+    if len(parts) != 4:
+        raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {given['region']!r}")
+    return snapshot.crop(Region(*(_number("region", part) for part in parts)))
+
+
+def _shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
+    if "max_size" not in given:
+        return snapshot
+    text = given["max_size"]
+    if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) > 0):
+        raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {text!r}")
+    return snapshot.shrink(int(text))
+
+
+def _number(name: str, text: str | None) -> float:
+    if text is None:
+        raise BadParameter(f"{name}: missing")
+    try:
+        return float(text)
+    except ValueError:
+        raise BadParameter(f"{name}: a number is needed, got {text!r}") from None
+
+
+def _json(value: dict[str, Any]) -> Answer:
+    return Answer(json.dumps(value).encode(), "application/json")

@@ -1,0 +1,181 @@
+"""The mapper on HTTP: a FastAPI application over `Answers`. It knows names, bytes and headers, and no map."""
+
+import importlib.metadata
+import logging
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from fastapi_offline import FastAPIOffline
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+
+from ogm_core.errors import BadParameter, OgmError
+from ogm_services.mapper.answers import MAP_FORMATS, Answer, Answers, Parameters
+from ogm_services.mapper.metrics import prometheus_text
+from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of, status_of
+
+NO_STORE = {"Cache-Control": "no-store"}
+
+log = logging.getLogger(__name__)
+Handler = Callable[[Request], Awaitable[Response]]
+
+_PARAMETERS = {
+    "region": "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
+    "palette": "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
+    "max_size": "longest side in pixels: the picture is shrunk by a whole factor",
+    "values": "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
+    "x": "metres, map frame",
+    "y": "metres, map frame",
+}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What probes ask of the service."""
+
+    alive: Callable[[], bool]
+    ready: Callable[[], bool]
+
+
+def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
+    """Make the application; nothing is computed before a request comes."""
+    version = importlib.metadata.version("zenoh-ogm")
+    app = FastAPIOffline(
+        title="zenoh-ogm mapper",
+        version=version,
+        description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
+    )
+    for form, wanted in MAP_FORMATS.items():
+        _get(app, f"/map.{form}", _map_handler(answers, form), sorted(wanted.parameters), wanted.media_type)
+    _get(app, "/cell", _handler(answers.cell), ["x", "y"], "application/json")
+    _get(app, "/quality", _handler(answers.quality), [], "application/json")
+    _get(app, "/status", _handler(answers.status), [], "application/json")
+    _add_service_routes(app, answers, health, version)
+
+    @app.post("/reset", summary="Empty the map: a new epoch, revision 0")
+    async def post_reset(request: Request) -> Response:
+        _parameters_of(request, allowed=False)
+        await run_in_threadpool(reset)
+        return _plain(await run_in_threadpool(answers.status, {}))
+
+    app.add_exception_handler(OgmError, _ogm_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(Exception, _bug)
+    return app
+
+
+def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version: str) -> None:
+    page = files("ogm_services.mapper").joinpath("page.html").read_text("utf-8")
+
+    async def show_page(_: Request) -> Response:
+        return HTMLResponse(page, headers=NO_STORE)
+
+    async def livez(_: Request) -> Response:
+        return _probe(health.alive(), "the worker has stopped")
+
+    async def readyz(_: Request) -> Response:
+        return _probe(health.alive() and health.ready(), "the mapper is still starting")
+
+    async def metrics(_: Request) -> Response:
+        text = prometheus_text(await run_in_threadpool(answers.status_fields))
+        return PlainTextResponse(text, media_type="text/plain; version=0.0.4", headers=NO_STORE)
+
+    async def show_version(_: Request) -> Response:
+        return JSONResponse({"name": "zenoh-ogm", "version": version}, headers=NO_STORE)
+
+    _get(app, "/", show_page, [], "text/html")
+    _get(app, "/livez", livez, [], "text/plain")
+    _get(app, "/readyz", readyz, [], "text/plain")
+    _get(app, "/metrics", metrics, [], "text/plain")
+    _get(app, "/version", show_version, [], "application/json")
+
+
+def _get(app: FastAPI, path: str, handler: Handler, parameters: list[str], media_type: str) -> None:
+    """Route GET and HEAD; the parameters are documented here and checked where they are used."""
+    described = [
+        {"name": name, "in": "query", "description": _PARAMETERS[name], "schema": {"type": "string"}}
+        for name in parameters
+    ]
+    extra = {"parameters": described} if described else None
+    responses: dict[int | str, dict[str, Any]] = {200: {"content": {media_type: {}}}}
+    app.add_api_route(path, handler, methods=["GET"], openapi_extra=extra, responses=responses)
+    app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
+
+
+def _handler(answer: Callable[[Parameters], Answer]) -> Handler:
+    async def handle(request: Request) -> Response:
+        return _plain(await run_in_threadpool(answer, _parameters_of(request)))
+
+    return handle
+
+
+def _map_handler(answers: Answers, form: str) -> Handler:
+    async def handle(request: Request) -> Response:
+        answer = await run_in_threadpool(answers.map, form, _parameters_of(request))
+        headers = _map_headers(answer)
+        if _matches(request.headers.get("if-none-match"), headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        return Response(answer.body, media_type=answer.media_type, headers=headers)
+
+    return handle
+
+
+def _map_headers(answer: Answer) -> dict[str, str]:
+    meta = answer.meta or {}
+    origin = meta["origin"]
+    return {
+        "ETag": str(answer.etag),
+        "Cache-Control": "no-cache",
+        "OGM-Resolution": repr(meta["resolution"]),
+        "OGM-Origin": f"{origin['x']!r},{origin['y']!r}",
+        "OGM-Epoch": meta["epoch"],
+        "OGM-Revision": str(meta["revision"]),
+        "OGM-Stamp": "null" if meta["stamp"] is None else str(meta["stamp"]),
+    }
+
+
+def _matches(if_none_match: str | None, etag: str) -> bool:
+    """Whether a request's validators name this one (RFC 9110, section 13.1.2: weak comparison)."""
+    if if_none_match is None:
+        return False
+    named = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
+    return etag in named or "*" in named
+
+
+def _parameters_of(request: Request, *, allowed: bool = True) -> Parameters:
+    given: dict[str, str] = {}
+    for name, value in request.query_params.multi_items():
+        if name in given or not allowed:
+            raise BadParameter(f"{name}: {'given twice' if allowed else 'unknown parameter; there are none'}")
+        given[name] = value
+    return given
+
+
+def _plain(answer: Answer) -> Response:
+    return Response(answer.body, media_type=answer.media_type, headers=NO_STORE)
+
+
+def _probe(healthy: bool, otherwise: str) -> Response:
+    text, status = ("ok", 200) if healthy else (otherwise, 503)
+    return PlainTextResponse(text, status_code=status, headers=NO_STORE)
+
+
+async def _ogm_error(_: Request, error: Exception) -> Response:
+    assert isinstance(error, OgmError)
+    return Response(problem_of(error), status_of(error), NO_STORE, MEDIA_TYPE)
+
+
+async def _http_error(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    slug = {404: "not-found", 405: "method-not-allowed"}.get(error.status_code, "http")
+    body = problem(slug, error.status_code, str(error.detail))
+    return Response(body, error.status_code, {**NO_STORE, **(error.headers or {})}, MEDIA_TYPE)
+
+
+async def _bug(request: Request, error: Exception) -> Response:
+    log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    return Response(problem("internal", 500, "the mapper failed; see its log"), 500, NO_STORE, MEDIA_TYPE)

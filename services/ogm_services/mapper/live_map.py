@@ -1,0 +1,117 @@
+"""The map while it is written: one writer, and any number of readers with copies."""
+
+import threading
+import time
+from collections import deque
+from typing import Any
+
+from ogm_core.errors import LimitReached
+from ogm_core.grid import OccupancyGrid
+from ogm_core.quality import Consistency, PlacedScan, map_figures
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.types import Pose, Scan
+
+RECENT_SCANS = 100
+"""The live consistency is that of so many newest scans."""
+FIGURES_PERIOD = 1.0
+"""Figures of the whole map are computed at most this often, s."""
+
+
+class LiveMap:
+    """An `OccupancyGrid` with one writer and many readers.
+
+    Who owns what: only the worker thread calls `integrate` and `reset`, and `_writing` is held while a kernel
+    runs or cells are copied out. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody
+    changes; `_reading` keeps them from making the same copy or the same figures twice.
+    """
+
+    def __init__(self, grid: OccupancyGrid) -> None:
+        self._grid = grid
+        self._recent: deque[PlacedScan] = deque(maxlen=RECENT_SCANS)
+        self._writing = threading.Lock()
+        self._reading = threading.RLock()
+        self._snapshot = grid.snapshot()
+        self._known_cells = _Timed()
+        self._quality = _Timed()
+
+    def integrate(self, scan: Scan, pose: Pose) -> int:
+        """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
+        with self._writing:
+            try:
+                updates = self._grid.integrate(scan, pose)
+            except MemoryError as error:
+                raise LimitReached("the system has no memory left for the map") from error
+            self._recent.append((scan, pose))
+            return updates
+
+    def reset(self, epoch: str) -> None:
+        """Writer: empty the map."""
+        with self._writing:
+            self._grid.reset(epoch)
+            self._recent.clear()
+
+    def identity(self) -> dict[str, Any]:
+        """Epoch, revision and stamp of this moment."""
+        grid = self._grid
+        with self._writing:
+            return {"epoch": grid.epoch, "revision": grid.revision, "stamp": grid.stamp}
+
+    def snapshot(self) -> MapSnapshot:
+        """The map as it is now; the same object until it changes."""
+        with self._reading:
+            with self._writing:
+                current = self._snapshot.epoch, self._snapshot.revision
+                if current != (self._grid.epoch, self._grid.revision):
+                    self._snapshot = self._grid.snapshot()
+            return self._snapshot
+
+    def info(self) -> dict[str, Any]:
+        """The status's `map_info`; known cells may be a second old."""
+        with self._writing:
+            rect, nbytes = self._grid.rect, self._grid.nbytes
+        return {
+            "known_cells": self._figure(self._known_cells, _count_known),
+            "bytes": nbytes,
+            "width": rect.width,
+            "height": rect.height,
+            "resolution": self._grid.lattice.resolution,
+        }
+
+    def quality(self) -> dict[str, Any]:
+        """Quality figures of the map and its newest scans; may be a second old."""
+        quality: dict[str, Any] = self._figure(self._quality, self._compute_quality)
+        return quality
+
+    def _compute_quality(self, snapshot: MapSnapshot) -> dict[str, Any]:
+        with self._writing:
+            recent, updates = list(self._recent), self._grid.cell_updates
+        consistency = Consistency(snapshot, self._grid.settings)
+        for scan, pose in recent:
+            consistency.add(scan, pose)
+        return {
+            **map_figures(snapshot),
+            "consistency": consistency.figures(),
+            "scans": snapshot.revision,
+            "cell_updates": updates,
+        }
+
+    def _figure(self, cached: "_Timed", compute: Any) -> Any:  # noqa: ANN401 - whatever is cached
+        with self._reading:
+            if cached.value is None or time.monotonic() - cached.time >= FIGURES_PERIOD:
+                identity = self.identity()
+                if cached.value is None or identity != cached.identity:
+                    cached.value = compute(self.snapshot())
+                    cached.identity, cached.time = identity, time.monotonic()
+            return cached.value
+
+
+class _Timed:
+    """A value, the map that it is of, and when it was computed."""
+
+    value: Any = None
+    identity: Any = None
+    time: float = 0.0
+
+
+def _count_known(snapshot: MapSnapshot) -> int:
+    return int(snapshot.model.known(snapshot.cells).sum())

@@ -1,0 +1,147 @@
+"""Which pose belongs to which scan, in what order, and how often: from messages to the map."""
+
+import logging
+from dataclasses import dataclass, field
+from typing import Protocol, cast
+
+from ogm_core.errors import ScanRefused
+from ogm_core.poses import PoseHistory
+from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_services.mapper.ledger import DropReason, Ledger
+
+MAX_WAITING = 64
+"""A scan waits for its pose until this many later ones of its sensor wait too."""
+
+log = logging.getLogger(__name__)
+
+
+class ScanSink(Protocol):
+    """Where placed scans go: an `OccupancyGrid`, or something that stands in for one."""
+
+    def integrate(self, scan: Scan, pose: Pose) -> int:
+        """Take a scan at its sensor's pose in the map frame; raise ScanRefused to refuse it."""
+        ...
+
+
+@dataclass(slots=True)
+class _Robot:
+    poses: PoseHistory = field(default_factory=PoseHistory)
+    runs: set[str] = field(default_factory=set)
+    """Every run that a pose has named."""
+    waiting: list[tuple[str, Scan]] = field(default_factory=list)
+    """(sensor, scan) in order of arrival, until a pose at or after its last beam arrives."""
+    last_seq: dict[tuple[str, str], int] = field(default_factory=dict)
+    """By (sensor, run)."""
+    heard: float = 0.0
+
+
+class Mapper:
+    """Places scans by their robots' poses and hands them on in the order in which they become ready.
+
+    One thread calls it. It reads no clock: `expire` is told the time. The same messages in the same order
+    give the same calls to the sink.
+    """
+
+    def __init__(self, sink: ScanSink, ledger: Ledger) -> None:
+        self._sink = sink
+        self._ledger = ledger
+        self._robots: dict[str, _Robot] = {}
+
+    @property
+    def waits(self) -> bool:
+        """Whether any scan waits for a pose."""
+        return any(robot.waiting for robot in self._robots.values())
+
+    def add_pose(self, name: str, message: PoseStamped) -> None:
+        """Take a robot's pose, and place every scan that it makes ready."""
+        robot = self._robots.setdefault(name, _Robot())
+        if message.run not in robot.runs:
+            robot.runs.add(message.run)
+            self._give_up(name, robot)
+            robot.poses = PoseHistory()
+        if not robot.poses.append(message.stamp, message.pose):
+            self._ledger.pose_refused("late")
+            return
+        self._ledger.located(name, message.stamp, message.pose)
+        ready = [item for item in robot.waiting if _ready_at(item[1]) <= message.stamp]
+        robot.waiting = [item for item in robot.waiting if _ready_at(item[1]) > message.stamp]
+        for sensor, scan in ready:
+            self._place(name, robot, sensor, scan)
+
+    def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
+        """Take a robot's scan: place it if its pose is known, else let it wait."""
+        robot = self._robots.setdefault(name, _Robot())
+        self._ledger.scan_taken(name, sensor, scan.run, scan.seq)
+        if self._is_duplicate(robot, sensor, scan):
+            self._ledger.scan_dropped(name, sensor, "duplicate")
+        elif scan.pose is not None:
+            self._ledger.located(name, scan.stamp, scan.pose)
+            self._integrate(name, sensor, scan, scan.pose)
+        elif robot.poses.newest is not None and _ready_at(scan) <= robot.poses.newest:
+            self._place(name, robot, sensor, scan)
+        elif robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
+            self._ledger.scan_dropped(name, sensor, "stale")
+        else:
+            robot.waiting.append((sensor, scan))
+            self._limit_waiting(name, robot, sensor)
+
+    def heard(self, name: str, now: float) -> None:
+        """Note that any message of a robot has arrived, at `now`, s."""
+        self._robots.setdefault(name, _Robot()).heard = now
+
+    def expire(self, now: float, pose_wait: float) -> None:
+        """Drop the waiting scans of every robot that was not heard for `pose_wait` seconds."""
+        for name, robot in self._robots.items():
+            if robot.waiting and now - robot.heard > pose_wait:
+                self._give_up(name, robot)
+
+    def finish(self) -> None:
+        """Drop every waiting scan: no pose will come any more."""
+        for name, robot in self._robots.items():
+            self._give_up(name, robot)
+
+    @staticmethod
+    def _is_duplicate(robot: _Robot, sensor: str, scan: Scan) -> bool:
+        if scan.run == "":
+            return False
+        last = robot.last_seq.get((sensor, scan.run), -1)
+        if scan.seq <= last:
+            return True
+        robot.last_seq[sensor, scan.run] = scan.seq
+        return False
+
+    def _limit_waiting(self, name: str, robot: _Robot, sensor: str) -> None:
+        mine = [index for index, item in enumerate(robot.waiting) if item[0] == sensor]
+        if len(mine) > MAX_WAITING:
+            del robot.waiting[mine[0]]
+            self._ledger.scan_dropped(name, sensor, "no_pose")
+
+    def _give_up(self, name: str, robot: _Robot) -> None:
+        for sensor, _ in robot.waiting:
+            self._ledger.scan_dropped(name, sensor, "no_pose")
+        robot.waiting = []
+
+    def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
+        """Integrate a scan whose poses have all arrived, at the base pose of its stamp."""
+        if robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
+            self._ledger.scan_dropped(name, sensor, "stale")
+            return
+        pose = robot.poses.at(scan.stamp)
+        if pose is None:
+            self._ledger.scan_dropped(name, sensor, "no_pose")
+        else:
+            self._integrate(name, sensor, scan, pose)
+
+    def _integrate(self, name: str, sensor: str, scan: Scan, base: Pose) -> None:
+        try:
+            self._sink.integrate(scan, base.compose(scan.mount))
+        except ScanRefused as refusal:
+            self._ledger.scan_dropped(name, sensor, cast(DropReason, refusal.slug))
+            log.warning("%s/%s: a scan is dropped: %s", name, sensor, refusal)
+        else:
+            self._ledger.scan_integrated(name, sensor)
+
+
+def _ready_at(scan: Scan) -> int:
+    """Stamp that a pose must have reached before the scan can be placed, ns."""
+    return max(scan.stamp, scan.end_stamp)

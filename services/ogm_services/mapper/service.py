@@ -1,0 +1,198 @@
+"""The mapper as a running service: started, warmed up, served, and stopped in order."""
+
+import dataclasses
+import logging
+import math
+import socket
+import threading
+import uuid
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import typer
+import uvicorn
+
+from ogm_client.session import open_session, resolve_listen
+from ogm_core.errors import OgmError
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, GridSettings
+from ogm_core.keys import MapKeys
+from ogm_core.types import Pose, Scan
+from ogm_services.mapper.answers import Answers
+from ogm_services.mapper.http_side import Health, build_app
+from ogm_services.mapper.inbox import Inbox
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.mapper import Mapper
+from ogm_services.mapper.worker import Worker
+from ogm_services.mapper.zenoh_side import ZenohSide
+from ogm_services.output import write_map
+from ogm_services.settings import Settings
+
+LIVE_MAP = "live map"
+"""What the line with the URL begins with that a mapper prints when it is ready."""
+GRACE = 2
+"""How long open HTTP connections may take to finish when the mapper stops, s."""
+
+log = logging.getLogger(__name__)
+
+
+class CannotServe(OgmError):
+    """The HTTP address cannot be used."""
+
+    slug = "cannot-serve"
+
+
+def run_mapper(settings: Settings, out: Path | None) -> None:
+    """Run until KeyboardInterrupt; then write the map's files into `out`, if given.
+
+    Raises:
+        CannotServe, CannotListen, CannotConnect: an address is taken or unreachable.
+        AlreadyMapped: another mapper of this map is alive.
+        MapEmpty: there is nothing to write at the end.
+    """
+    service = MapperService(settings)
+    try:
+        with service:
+            for line in service.addresses:
+                typer.echo(line)
+            service.wait()
+    finally:
+        if out is not None and service.was_ready:
+            write_map(out, service.live_map.snapshot(), service.live_map.quality())
+
+
+class MapperService:
+    """A mapper with its threads, as a context manager: inside the `with` it is ready.
+
+    Threads: the worker (owns the map), one for HTTP's event loop with its pool, Zenoh's own, and a small
+    pool for Zenoh's queries. All of them end with the `with`.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        grid_settings = settings.grid_settings()
+        limits = settings.mapper
+        self._settings = settings
+        self.live_map = LiveMap(OccupancyGrid(grid_settings, uuid.uuid4().hex))
+        ledger, inbox = Ledger(), Inbox(limits.queue)
+        mapper = Mapper(self.live_map, ledger)
+        self._inbox, self._ledger = inbox, ledger
+        self._worker = Worker(inbox, mapper, ledger, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
+        self._answers = Answers(settings.network.map_name, self.live_map, ledger)
+        self._ready = threading.Event()
+        self._open = ExitStack()
+        self.addresses: list[str] = []
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opening:
+            self._start(opening)
+            self._open = opening.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    @property
+    def was_ready(self) -> bool:
+        """Whether it ever got as far as taking scans."""
+        return self._ready.is_set()
+
+    def wait(self) -> None:
+        """Sleep until KeyboardInterrupt."""
+        threading.Event().wait()
+
+    def reset(self) -> None:
+        """Empty the map, after every message that has arrived."""
+        self._worker.do(lambda: self.live_map.reset(uuid.uuid4().hex))
+
+    def _start(self, opening: ExitStack) -> None:
+        network = self._settings.network
+        listener = opening.enter_context(_bound_socket(self._settings.http.host, self._settings.http.port))
+        wanted = network.for_mapper()
+        config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
+        session = opening.enter_context(open_session(config))
+        zenoh_side = ZenohSide(session, MapKeys(network.map_name), self._inbox, self._ledger)
+        opening.callback(zenoh_side.close)
+        zenoh_side.claim()
+        opening.enter_context(self._http(listener))
+        warm_up(self._settings.grid_settings())
+        self._worker.start()
+        opening.callback(self._worker.stop)
+        zenoh_side.declare(self._answers, self.reset)
+        host, port = listener.getsockname()[:2]
+        zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
+        self.addresses = [
+            f"map      {network.map_name} on Zenoh at {zenoh_addresses}",
+            f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
+        ]
+        self._ready.set()
+
+    def _http(self, listener: socket.socket) -> "_HttpThread":
+        health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
+        return _HttpThread(
+            uvicorn.Config(
+                build_app(self._answers, health, self.reset),
+                log_level="warning",
+                access_log=False,
+                lifespan="off",
+                timeout_graceful_shutdown=GRACE,
+            ),
+            listener,
+        )
+
+
+class _HttpThread:
+    """uvicorn beside the main thread, which keeps the signals to itself."""
+
+    def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._server.should_exit = True
+        self._thread.join()
+
+
+def warm_up(settings: GridSettings) -> None:
+    """Load or compile every kernel that a live map needs, on a small map of the same make."""
+    settings = dataclasses.replace(settings, max_cells=DEFAULT_MAX_CELLS, max_bytes=DEFAULT_MAX_BYTES)
+    scratch = LiveMap(OccupancyGrid(settings))
+    middle = Pose(0.0, 0.0, 0.0)
+    if settings.bounds is not None:
+        xmin, ymin, xmax, ymax = settings.bounds
+        middle = Pose((xmin + xmax) / 2, (ymin + ymax) / 2, 0.0)
+    length = 2 * settings.resolution
+    ranges = np.array([length, math.inf], np.float32)
+    scratch.integrate(Scan(0, 0.0, 1.0, 0.0, 2 * length + settings.alpha, ranges), middle)
+    scratch.quality()
+
+
+def _bound_socket(host: str, port: int) -> socket.socket:
+    """A listening TCP socket; port 0 picks a free one.
+
+    Raises:
+        CannotServe: the address is taken, or is not this machine's.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise CannotServe(f"--http-host {host}: {error.strerror}") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError as error:
+        listener.close()
+        raise CannotServe(
+            f"--http-port {port}: cannot serve on {host}: {error.strerror}; 0 picks a free port"
+        ) from error
+    return listener

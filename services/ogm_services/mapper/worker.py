@@ -1,0 +1,95 @@
+"""The one thread that decodes messages and writes the map."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from ogm_core.errors import BadMessage
+from ogm_core.messages import decode_pose, decode_scan
+from ogm_services.limited_log import LimitedLog
+from ogm_services.mapper.inbox import Inbox, Item
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.mapper import Mapper
+
+WAKE_PERIOD = 0.1
+"""How often robots with waiting scans are looked after while nothing arrives, s."""
+
+log = logging.getLogger(__name__)
+
+
+class Worker:
+    """Owns the mapper, and through it the map's writing side. Started once, stopped once."""
+
+    def __init__(
+        self, inbox: Inbox, mapper: Mapper, ledger: Ledger, *, max_beams: int, pose_wait: float
+    ) -> None:
+        self._inbox = inbox
+        self._mapper = mapper
+        self._ledger = ledger
+        self._max_beams = max_beams
+        self._pose_wait = pose_wait
+        self._complaints = LimitedLog(log)
+        self._thread = threading.Thread(target=self._run, name="ogm-worker")
+
+    @property
+    def alive(self) -> bool:
+        """Whether messages are being worked on."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Begin to take messages from the inbox."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Finish the message in hand, and end. Messages that still wait stay pending."""
+        self._inbox.close()
+        self._thread.join()
+
+    def do(self, command: Callable[[], None], timeout: float = 30.0) -> None:
+        """Run `command` on the worker's thread, after every message that came before; wait until it is done.
+
+        Raises:
+            TimeoutError: it was not done in time, or the worker has stopped.
+        """
+        done = threading.Event()
+
+        def run() -> None:
+            command()
+            done.set()
+
+        self._inbox.put(Item(None, b"", time.monotonic(), run))
+        if not done.wait(timeout):
+            raise TimeoutError("the worker did not get to a command in time")
+
+    def _run(self) -> None:
+        while not self._inbox.closed:
+            item = self._inbox.take(WAKE_PERIOD if self._mapper.waits else None)
+            if item is None:
+                self._mapper.expire(time.monotonic(), self._pose_wait)
+            elif item.command is not None:
+                item.command()
+            elif item.source is not None:
+                try:
+                    self._handle(item, *item.source)
+                except Exception:
+                    # A bug of ours: its traceback is kept, and it harms one message, not the map.
+                    log.exception("a message of %s failed", item.source)
+
+    def _handle(self, item: Item, robot: str, sensor: str | None) -> None:
+        """Decode a message and hand it to the mapper; a bad one is counted."""
+        self._mapper.heard(robot, item.arrival)
+        try:
+            if sensor is None:
+                self._mapper.add_pose(robot, decode_pose(item.payload))
+            else:
+                self._mapper.add_scan(robot, sensor, decode_scan(item.payload, max_beams=self._max_beams))
+        except BadMessage as error:
+            self._refuse(robot, sensor)
+            self._complaints.warning(f"{robot}/{sensor or 'pose'}", str(error))
+
+    def _refuse(self, robot: str, sensor: str | None) -> None:
+        if sensor is None:
+            self._ledger.pose_refused("malformed")
+        else:
+            self._ledger.scan_dropped(robot, sensor, "malformed")

@@ -1,0 +1,33 @@
+"""The files that a finished map is written as."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ogm_core.errors import BadInput
+from ogm_core.map_files import encode_npz, encode_pgm, encode_png, encode_yaml
+from ogm_core.snapshot import MapSnapshot
+
+
+def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None:
+    """Write map.png, map.pgm, map.yaml, map.npz and quality.json into the folder `out`, made if need be.
+
+    Everything is encoded before anything is written.
+
+    Raises:
+        MapEmpty: there is nothing to draw.
+        BadInput: the folder cannot be written.
+    """
+    files = {
+        "map.png": encode_png(snapshot),
+        "map.pgm": encode_pgm(snapshot),
+        "map.yaml": encode_yaml(snapshot, "map.pgm"),
+        "map.npz": encode_npz(snapshot),
+        "quality.json": (json.dumps(quality, indent=2) + "\n").encode(),
+    }
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            (out / name).write_bytes(content)
+    except OSError as error:
+        raise BadInput(f"--out {out}: cannot be written: {error.strerror}") from error

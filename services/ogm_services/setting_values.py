@@ -1,0 +1,89 @@
+"""What a setting's value can be, how it is written as text, and the presets."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from ogm_core.lattice import Region
+
+LOOPBACK = "tcp/127.0.0.1:7447"
+"""Where a mapper listens, and everyone else looks for it, if nothing else is said."""
+
+Preset = Literal["lab"]
+# The area model "sector" and the traversal "dda" join these two when the core has them.
+SensorModel = Literal["beam"]
+Traversal = Literal["bresenham"]
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "lab": {
+        "resolution": 0.1,
+        "p_prior": 0.5,
+        "p_occ": 0.7,
+        "p_free": 0.3,
+        "l_min": -8.0,
+        "l_max": 8.0,
+        "alpha": 0.2,
+        "model": "beam",
+        "traversal": "bresenham",
+        "cells": "float64",
+        "bounds": [-10.0, -10.0, 10.0, 10.0],
+        "outside": "drop",
+    }
+}
+"""Map settings that replace the defaults, by the preset's name."""
+
+
+def parse_region(value: object) -> Region:
+    """Region from the text XMIN,YMIN,XMAX,YMAX or from a list of four numbers, m.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    parts = value.split(",") if isinstance(value, str) else value
+    try:
+        if (
+            isinstance(parts, list | tuple)
+            and len(parts) == 4
+            and not any(isinstance(p, bool) for p in parts)
+        ):
+            return Region(*map(float, parts))
+    except (TypeError, ValueError):
+        pass
+    raise ValueError("four numbers XMIN,YMIN,XMAX,YMAX are needed")
+
+
+def _none_from_text(value: object) -> object:
+    return None if isinstance(value, str) and value.lower() == "none" else value
+
+
+def _whole_from_text(value: object) -> object:
+    """Let 1e8 be written for 100000000 (YAML takes it for text, too); pydantic judges the rest."""
+    try:
+        return float(value) if isinstance(value, str) and "e" in value.lower() else value
+    except ValueError:
+        return value
+
+
+def _list_from_text(value: object) -> object:
+    return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
+
+
+def _endpoint(value: str) -> str:
+    protocol, _, address = value.partition("/")
+    if not (protocol.isidentifier() and address):
+        raise ValueError(f"an endpoint such as {LOOPBACK} is needed")
+    return value
+
+
+NONE = BeforeValidator(_none_from_text)
+"""Beside a type that allows None: the text "none" means it, too."""
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0.0)]
+NotNegative = Annotated[Finite, Field(ge=0.0)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]
+Count = Annotated[WholeNumber, Field(ge=1)]
+Bounds = Annotated[Region, BeforeValidator(parse_region)]
+Endpoint = Annotated[str, AfterValidator(_endpoint)]
+Endpoints = Annotated[tuple[Endpoint, ...], BeforeValidator(_list_from_text)]

@@ -1,0 +1,162 @@
+"""A fake mapper that answers over Zenoh or HTTP, and notes what it was asked."""
+
+import json
+import threading
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import parse_qsl, urlsplit
+
+import msgpack
+import numpy as np
+import pytest
+
+from ogm_core.lattice import Lattice
+from ogm_core.logodds import LogOdds
+from ogm_core.map_files import encode_npz
+from ogm_core.snapshot import MapSnapshot
+
+MAP_NAME = "hall"
+PROBLEM = "application/problem+json"
+
+
+@dataclass
+class FakeMapper:
+    """Answers to all requests, whatever carries them; `asked` notes (name, parameters), HTTP's headers aside.
+
+    `address` and `over` ("zenoh", "http") say how it is reached. `bodies` overrides answers, `meta` what
+    accompanies a map (... takes it away); a `problem` refuses all. `later` swaps the map just before the
+    request of that number (from 0) is answered.
+    """
+
+    address: str
+    over: str
+    snapshot: MapSnapshot
+    bodies: dict = field(default_factory=dict)
+    problem: dict | bytes | None = None
+    meta: dict = field(default_factory=dict)
+    later: dict = field(default_factory=dict)
+    asked: list = field(default_factory=list)
+
+    def take(self, name, parameters):
+        """Note a request; return its body, or None if it is refused."""
+        self.snapshot = self.later.pop(len(self.asked), self.snapshot)
+        self.asked.append((name, parameters))
+        if self.problem is not None:
+            return None
+        if name in self.bodies:
+            return self.bodies[name]
+        if name == "status":
+            return json.dumps({"epoch": self.snapshot.epoch, "revision": self.snapshot.revision}).encode()
+        return encode_npz(self.snapshot) if name == "map.npz" else f"{name} as asked".encode()
+
+    def map_meta(self):
+        """What accompanies a map over Zenoh."""
+        meta = {**self.snapshot.meta(), **self.meta}
+        return {name: value for name, value in meta.items() if value is not ...}
+
+    def refusal(self):
+        """The body of an error reply."""
+        return self.problem if isinstance(self.problem, bytes) else json.dumps(self.problem).encode()
+
+
+def on_query(mapper, query):
+    """Answer over Zenoh."""
+    service = str(query.key_expr).rpartition("/")[2]
+    parameters = dict(part.split("=") for part in str(query.parameters).split(";") if part)
+    name = f"map.{parameters.pop('format', 'json')}" if service == "map" else service
+    body = mapper.take(name, parameters)
+    if body is None:
+        query.reply_err(mapper.refusal(), encoding=PROBLEM)
+    else:
+        attachment = msgpack.packb(mapper.map_meta()) if service == "map" else None
+        query.reply(query.key_expr, body, attachment=attachment)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answer over HTTP; the server carries the mapper."""
+
+    def do_GET(self):
+        url = urlsplit(self.path)
+        mapper, name = self.server.mapper, url.path.removeprefix("/")
+        if name == "reset" and self.command != "POST":
+            return self.send_error(405)
+        body = mapper.take(name, dict(parse_qsl(url.query)))
+        snap = mapper.snapshot
+        etag = f'"{snap.epoch}-{snap.revision}"'
+        headers = {
+            "OGM-Epoch": snap.epoch,
+            "OGM-Revision": snap.revision,
+            "OGM-Stamp": json.dumps(snap.stamp),
+        }
+        for key, value in mapper.meta.items():
+            headers[f"OGM-{key.capitalize()}"] = value
+        if body is None:
+            headers = {"Content-Type": PROBLEM if isinstance(mapper.problem, dict) else "text/plain"}
+            status = mapper.problem["status"] if isinstance(mapper.problem, dict) else 502
+            body = mapper.refusal()
+        elif self.headers["If-None-Match"] == etag:
+            mapper.asked[-1] = (name, "not modified")
+            status, body = 304, b""
+        else:
+            status = 200
+        self.send_response(status)
+        for key, value in headers.items():
+            if value is not ...:
+                self.send_header(key, str(value))
+        self.send_header("ETag", etag)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+        return None
+
+    do_POST = do_GET
+
+    def log_message(self, *args):
+        """Stay silent."""
+
+
+@pytest.fixture
+def snapshot():
+    """Rows from the south: unknown, occupied; free, back at the prior; free, undecided (p = 0.62)."""
+    cells = np.array([[0, 20001], [-20001, 1], [-6001, 2001]], np.int16)
+    lattice = Lattice(0.1, (0.5, -0.25))
+    return MapSnapshot(
+        cells, LogOdds(), lattice, (-5, 10), epoch="first", revision=7, stamp=1_700_000_000_000_000_001
+    )
+
+
+@pytest.fixture
+def zenoh_mapper(listener, endpoint, snapshot):
+    """A fake mapper of the map MAP_NAME, reached over Zenoh."""
+    mapper = FakeMapper(endpoint, "zenoh", snapshot)
+    for service in ("map", "cell", "quality", "status", "reset"):
+        listener.declare_queryable(f"ogm/v1/{MAP_NAME}/{service}", lambda query: on_query(mapper, query))
+    return mapper
+
+
+@pytest.fixture
+def http_mapper(snapshot):
+    """A fake mapper reached over HTTP."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        mapper = FakeMapper(f"http://127.0.0.1:{server.server_port}", "http", snapshot)
+        server.mapper, server.daemon_threads = mapper, True
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield mapper
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(params=["zenoh", "http"])
+def mapper(request):
+    """The same fake mapper, reached over Zenoh and over HTTP in turn."""
+    return request.getfixturevalue(f"{request.param}_mapper")
+
+
+@pytest.fixture
+def client(mapper):
+    """A client of `mapper`."""
+    from ogm_client import MapClient
+
+    with MapClient(mapper.address, map_name=MAP_NAME, timeout=2.0) as client:
+        yield client

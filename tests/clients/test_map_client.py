@@ -1,0 +1,256 @@
+"""Asking a mapper: the same questions and answers over Zenoh and HTTP."""
+
+import json
+import math
+import socket
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ogm_client import BadReply, CannotConnect, ClientError, MapClient, MapperError, NobodyAnswered
+from ogm_core.errors import BadParameter, BadSetting
+
+STEP = 8.0 / 16383
+
+
+def test_a_map_arrives_as_it_was_served(mapper, client):
+    grid = client.get_map()
+    expected = np.array([[np.nan, 10000], [-10001, 0], [-3001, 1000]]) * STEP
+    np.testing.assert_array_equal(grid.log_odds, expected.astype(np.float32))
+    assert grid.log_odds.dtype == np.float32
+    assert (grid.resolution, grid.anchor, grid.offset) == (0.1, (0.5, -0.25), (-5, 10))
+    assert (grid.epoch, grid.revision, grid.stamp) == ("first", 7, 1_700_000_000_000_000_001)
+    assert mapper.asked == [("map.npz", {})]
+
+
+def test_a_map_without_scans_has_no_stamp_and_no_cells(mapper, client):
+    cells = np.empty((0, 0), np.int16)
+    mapper.snapshot = replace(mapper.snapshot, cells=cells, revision=0, stamp=None)
+    grid = client.get_map()
+    assert (grid.width, grid.height, grid.revision, grid.stamp) == (0, 0, 0, None)
+
+
+@pytest.mark.parametrize("region", [(-1, -2.5, 3.0, 1e-7), np.array([-1, -2.5, 3, 1e-7])])
+def test_a_region_is_asked_for_in_full_precision(mapper, client, region):
+    client.get_map(region)
+    [(name, parameters)] = mapper.asked
+    assert name == "map.npz"
+    assert [float(part) for part in parameters.pop("region").split(",")] == [-1.0, -2.5, 3.0, 1e-7]
+    assert parameters == {}
+
+
+@pytest.mark.parametrize("name", ["map.png", "map.json", "map.pgm", "map.yaml", "quality", "cell"])
+def test_fetch_gives_the_bytes_and_passes_parameters_on(mapper, client, name):
+    assert client.fetch(name, palette="probability", max_size=500, region=None) == f"{name} as asked".encode()
+    assert mapper.asked == [(name, {"palette": "probability", "max_size": "500"})]
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("reset", {}, "'reset' cannot be fetched, only map.png, "),
+        ("map.bmp", {}, "'map.bmp'"),
+        ("map.png", {"palette": "ros;format=json"}, "palette: .*';'"),
+        ("map.png", {"region": ["west"]}, "region: .* got \\['west'\\]"),
+        ("map.png", {"max_size": object()}, "max_size: "),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_here(mapper, client, name, parameters, message):
+    with pytest.raises(BadParameter, match=message):
+        client.fetch(name, **parameters)
+    assert mapper.asked == []
+
+
+@pytest.mark.parametrize("name", ["status", "quality"])
+def test_figures_are_dictionaries(mapper, client, name):
+    mapper.bodies[name] = b'{"map": "hall", "scans": {"received": 3}, "stamp": null}'
+    assert getattr(client, name)() == {"map": "hall", "scans": {"received": 3}, "stamp": None}
+    assert mapper.asked == [(name, {})]
+
+
+def test_a_cell_is_asked_for_by_its_point(mapper, client):
+    mapper.bodies["cell"] = b'{"known": false, "log_odds": null}'
+    assert client.cell(0.1, np.float64(-2.0)) == {"known": False, "log_odds": None}
+    assert mapper.asked == [("cell", {"x": "0.1", "y": "-2.0"})]
+
+
+def test_reset_is_one_plain_request(mapper, client):
+    client.reset()
+    assert mapper.asked == [("reset", {})]
+
+
+def test_a_refusal_is_raised_with_its_parts(mapper, client):
+    mapper.problem = {
+        "type": "bad-parameter",
+        "title": "Bad parameter",
+        "status": 400,
+        "detail": "region: inverted",
+    }
+    asks = [
+        client.get_map,
+        client.status,
+        client.reset,
+        lambda: client.fetch("map.png"),
+        lambda: client.cell(0, 0),
+    ]
+    for ask in asks:
+        with pytest.raises(MapperError, match="region: inverted") as caught:
+            ask()
+        assert (caught.value.type, caught.value.status, caught.value.detail) == (
+            "bad-parameter",
+            400,
+            "region: inverted",
+        )
+    assert len(mapper.asked) == len(asks)
+
+
+@pytest.mark.parametrize("problem", [b"oops", b"[]", b'{"type": 3, "status": 400}'])
+def test_an_error_that_is_no_problem_json_is_a_bad_reply(mapper, client, problem):
+    mapper.problem = problem
+    with pytest.raises(BadReply):
+        client.status()
+
+
+@pytest.mark.parametrize("body", [b"", b"not json", b"[1]", b"\xff"])
+def test_a_status_that_is_no_object_is_a_bad_reply(mapper, client, body):
+    mapper.bodies["status"] = body
+    with pytest.raises(BadReply, match="status: "):
+        client.status()
+
+
+def test_a_map_that_cannot_be_read_is_a_bad_reply(mapper, client):
+    mapper.bodies["map.npz"] = b"PK not really"
+    with pytest.raises(BadReply, match=r"map\.npz"):
+        client.get_map()
+
+
+@pytest.mark.parametrize("name", ["epoch", "revision", "stamp"])
+def test_a_map_without_its_version_is_a_bad_reply(mapper, client, name):
+    mapper.meta[name] = ...
+    if (mapper.over, name) == ("zenoh", "stamp"):
+        mapper.meta[name] = 1.5  # over Zenoh, null and nothing are the same
+    with pytest.raises(BadReply, match=name.capitalize() if mapper.over == "http" else name):
+        client.get_map()
+
+
+@pytest.mark.parametrize("change", [{"revision": 8}, {"epoch": "second"}])
+def test_watch_yields_at_once_and_on_each_change_only(mapper, client, change):
+    mapper.later[4] = replace(mapper.snapshot, **change)
+    maps = client.watch(interval=0.001)
+    first, second = next(maps), next(maps)
+    assert (first.epoch, first.revision) == ("first", 7)
+    assert (second.epoch, second.revision) == (change.get("epoch", "first"), change.get("revision", 7))
+    if mapper.over == "http":
+        assert mapper.asked == [("map.npz", {}), *[("map.npz", "not modified")] * 3, ("map.npz", {})]
+    else:
+        assert mapper.asked == [("map.npz", {}), *[("status", {})] * 4, ("map.npz", {})]
+    maps.close()
+    time.sleep(0.05)
+    assert len(mapper.asked) == (5 if mapper.over == "http" else 6)
+
+
+def test_watch_does_not_yield_a_map_twice(zenoh_mapper):
+    """The status may lag behind the map; its next answer is then not news."""
+    with MapClient(zenoh_mapper.address, map_name="hall") as client:
+        zenoh_mapper.bodies["status"] = b'{"epoch": "first", "revision": 6}'
+        zenoh_mapper.later[5] = replace(zenoh_mapper.snapshot, revision=8)
+        maps = client.watch(interval=0.001)
+        assert [next(maps).revision, next(maps).revision] == [7, 8]
+
+
+def test_watch_ends_with_the_mapper_s_refusal(mapper, client):
+    maps = client.watch(interval=0.001)
+    next(maps)
+    mapper.problem = {"type": "internal", "status": 500, "title": "Internal error"}
+    with pytest.raises(MapperError, match="Internal error"):
+        next(maps)
+    with pytest.raises(StopIteration):
+        next(maps)
+
+
+@pytest.mark.parametrize("interval", [0, -1.0, math.nan, math.inf])
+def test_watch_refuses_an_interval_that_is_none(client, interval):
+    with pytest.raises(BadParameter, match="interval"):
+        client.watch(interval)
+
+
+def test_a_closed_client_says_so(mapper, client):
+    client.close()
+    client.close()
+    with pytest.raises(ClientError, match="closed"):
+        client.status()
+    assert mapper.asked == []
+
+
+@pytest.mark.parametrize(
+    "address", ["", "localhost", "127.0.0.1:8000", "ftp://localhost/", "http://host:port"]
+)
+def test_an_ill_formed_address_is_refused(address):
+    with pytest.raises(BadSetting, match="address"):
+        MapClient(address)
+
+
+def test_no_mapper_of_that_map(zenoh_mapper):
+    with MapClient(zenoh_mapper.address, map_name="other", timeout=30.0) as client:
+        start = time.monotonic()
+        with pytest.raises(NobodyAnswered) as caught:
+            client.get_map()
+        assert time.monotonic() - start < 5.0
+    assert "'other'" in str(caught.value)
+    assert zenoh_mapper.address in str(caught.value)
+    assert "--map other" in str(caught.value)
+
+
+def test_a_mapper_that_does_not_answer_over_zenoh(listener, endpoint):
+    kept = []
+    listener.declare_queryable("ogm/v1/default/status", kept.append)
+    with MapClient(endpoint, timeout=0.2) as client, pytest.raises(NobodyAnswered, match=r"within 0\.2 s"):
+        client.status()
+    assert len(kept) == 1
+    kept.clear()
+
+
+def test_a_mapper_that_does_not_answer_over_http():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"http://127.0.0.1:{server.getsockname()[1]}"
+        with MapClient(url, timeout=0.2) as client, pytest.raises(NobodyAnswered, match=r"within 0\.2 s"):
+            client.status()
+
+
+def test_something_else_than_http_answers():
+    def greet(server):
+        connection, _ = server.accept()
+        with connection:
+            connection.recv(4096)
+            connection.sendall(b"SSH-2.0-other\r\n")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=greet, args=(server,))
+        thread.start()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}"
+        with MapClient(url, timeout=2.0) as client, pytest.raises(BadReply, match=url):
+            client.status()
+        thread.join()
+
+
+def test_nothing_at_an_http_address(endpoint):
+    url = endpoint.replace("tcp/", "http://")
+    with MapClient(url) as client, pytest.raises(CannotConnect, match=f"{url}.*ogm mapper"):
+        client.status()
+
+
+def test_a_session_that_was_given_stays_open(listener, zenoh_mapper):
+    with MapClient(map_name="hall", session=listener) as client:
+        assert client.get_map().revision == 7
+    with MapClient(map_name="hall", session=listener) as client:
+        assert client.status() == {"epoch": "first", "revision": 7}
+    assert not listener.is_closed()
+
+
+def test_a_field_that_json_keeps_and_we_do_not_know_is_kept(mapper, client):
+    status = {"epoch": "first", "revision": 7, "later": {"added": [1, 2]}}
+    mapper.bodies["status"] = json.dumps(status).encode()
+    assert client.status() == status

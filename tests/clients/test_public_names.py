@@ -1,0 +1,39 @@
+"""What `import ogm_client` offers, and what it must not load."""
+
+import subprocess
+import sys
+
+import ogm_client
+
+
+def test_the_public_names_are_these():
+    assert sorted(ogm_client.__all__) == [
+        "BadReply",
+        "CannotConnect",
+        "CannotListen",
+        "ClientError",
+        "DEFAULT_ADDRESS",
+        "MapClient",
+        "MapGrid",
+        "MapperError",
+        "NobodyAnswered",
+        "OgmError",
+        "RobotPublisher",
+    ]
+    assert all(hasattr(ogm_client, name) for name in ogm_client.__all__)
+    assert ogm_client.DEFAULT_ADDRESS == "tcp/127.0.0.1:7447"
+
+
+def test_every_error_of_the_client_is_caught_as_one():
+    errors = ["BadReply", "CannotConnect", "CannotListen", "MapperError", "NobodyAnswered"]
+    assert all(issubclass(getattr(ogm_client, name), ogm_client.ClientError) for name in errors)
+    assert issubclass(ogm_client.ClientError, ogm_client.OgmError)
+
+
+def test_importing_it_is_light():
+    heavy = {"numba", "llvmlite", "fastapi", "uvicorn", "typer", "pydantic"}
+    program = f"import sys, ogm_client; print({heavy} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "set()\n"

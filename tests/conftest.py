@@ -1,0 +1,36 @@
+"""What tests of several folders share: a loopback endpoint, a session on it, waiting with a deadline."""
+
+import time
+
+import pytest
+
+
+@pytest.fixture
+def endpoint():
+    """A Zenoh endpoint on loopback that nobody listens on."""
+    from ogm_client.session import resolve_listen  # here: the core's tests load no client
+
+    return resolve_listen("tcp/127.0.0.1:0")
+
+
+@pytest.fixture
+def listener(endpoint):
+    """An open session that listens on `endpoint`; others connect to it as clients."""
+    from ogm_client.session import NetworkConfig, open_session
+
+    with open_session(NetworkConfig(listen=(endpoint,))) as session:
+        yield session
+
+
+@pytest.fixture
+def eventually():
+    """`eventually(condition)` returns the condition's value once it is true; fails after a deadline, s."""
+
+    def wait(condition, timeout=5.0):
+        deadline = time.monotonic() + timeout
+        while not (value := condition()):
+            assert time.monotonic() < deadline, f"not within {timeout} s"
+            time.sleep(0.002)
+        return value
+
+    return wait

@@ -1,0 +1,194 @@
+"""Which beams count and where they end (REP-117, in the order of the design's rules)."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import naive
+from ogm_core import beams
+from ogm_core.beams import HIT, NO_RETURN, SKIPPED
+from ogm_core.errors import LimitReached
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Lattice
+from ogm_core.projection import end_cells
+from ogm_core.types import Pose, Scan
+
+NAN, INF = math.nan, math.inf
+R_MIN, R_MAX, ALPHA = 0.5, 8.0, 0.25
+SOFT = R_MAX - ALPHA / 2  # 7.875, exact in float32 too
+BELOW_SOFT, BELOW_MAX = math.nextafter(SOFT, 0), math.nextafter(R_MAX, 0)
+
+NO_EVIDENCE = SKIPPED, 0.0
+
+
+def scan_of(ranges, **changes):
+    values = {"stamp": 1, "angle_min": -1.0, "angle_increment": 0.3, "range_min": 0.0, "range_max": R_MAX}
+    return Scan(**{**values, "ranges": np.asarray(ranges, np.float32), **changes})
+
+
+@pytest.mark.parametrize(
+    ("r", "clear_range", "reach", "expected"),
+    [
+        (NAN, INF, INF, NO_EVIDENCE),
+        (-INF, INF, INF, NO_EVIDENCE),
+        (-1.0, INF, INF, NO_EVIDENCE),
+        (0.0, INF, INF, NO_EVIDENCE),
+        (-0.0, INF, INF, NO_EVIDENCE),
+        (math.nextafter(R_MIN, 0), INF, INF, NO_EVIDENCE),
+        (R_MIN, INF, INF, (HIT, R_MIN)),
+        (3.0, INF, INF, (HIT, 3.0)),
+        (BELOW_SOFT, INF, INF, (HIT, BELOW_SOFT)),
+        (SOFT, INF, INF, (NO_RETURN, SOFT)),
+        (7.9, INF, INF, (NO_RETURN, 7.9)),
+        (BELOW_MAX, INF, INF, (NO_RETURN, BELOW_MAX)),
+        (R_MAX, INF, INF, (NO_RETURN, R_MAX)),
+        (9.0, INF, INF, (NO_RETURN, R_MAX)),
+        (81.83, INF, INF, (NO_RETURN, R_MAX)),
+        (INF, INF, INF, (NO_RETURN, R_MAX)),
+        # clear_range shortens what saw nothing, never a hit.
+        (INF, 3.0, INF, (NO_RETURN, 3.0)),
+        (7.9, 3.0, INF, (NO_RETURN, 3.0)),
+        (7.9, 7.95, INF, (NO_RETURN, 7.9)),
+        (5.0, 3.0, INF, (HIT, 5.0)),
+        (INF, 0.0, INF, (NO_RETURN, 0.0)),
+        (INF, 20.0, INF, (NO_RETURN, R_MAX)),
+        # reach shortens everything; a hit beyond it frees the cells up to it, whatever clear_range says.
+        (INF, INF, 4.0, (NO_RETURN, 4.0)),
+        (7.9, INF, 4.0, (NO_RETURN, 4.0)),
+        (5.0, INF, 4.0, (NO_RETURN, 4.0)),
+        (5.0, 3.0, 4.0, (NO_RETURN, 4.0)),
+        (4.0, 3.0, 4.0, (HIT, 4.0)),
+        (math.nextafter(4.0, 5), 3.0, 4.0, (NO_RETURN, 4.0)),
+        (INF, 3.0, 4.0, (NO_RETURN, 3.0)),
+        (INF, 3.0, 2.0, (NO_RETURN, 2.0)),
+        (5.0, INF, 20.0, (HIT, 5.0)),
+    ],
+)
+def test_the_first_rule_that_fits_wins(r, clear_range, reach, expected):
+    assert beams.classify(r, R_MIN, R_MAX, ALPHA, clear_range, reach) == expected
+
+
+def test_classify_is_its_twin_on_every_boundary():
+    edges = (0.0, 0.5, 3.0, 7.0, SOFT, R_MAX, 20.0)
+    readings = [NAN, INF, -INF, -1.0, -0.0, 5e-324]
+    readings += [side for r in edges for side in (r, math.nextafter(r, INF), math.nextafter(r, -INF))]
+    limits = itertools.product(
+        readings, (0.0, 0.5), (0.0, ALPHA, 30.0), (0.0, 3.0, 7.0, INF), (3.0, 7.95, R_MAX, INF)
+    )
+    for r, range_min, alpha, clear_range, reach in limits:
+        kind, length = beams.classify(r, range_min, R_MAX, alpha, clear_range, reach)
+        found = None if kind == SKIPPED else (kind == HIT, length)
+        expected = naive.classify(r, range_min, R_MAX, alpha, clear_range, reach)
+        assert found == expected, (r, range_min, alpha, clear_range, reach)
+
+
+def test_without_thickness_every_range_below_range_max_is_a_hit():
+    assert beams.classify(BELOW_MAX, 0.0, R_MAX, 0.0, INF, INF) == (HIT, BELOW_MAX)
+    assert beams.classify(R_MAX, 0.0, R_MAX, 0.0, INF, INF) == (NO_RETURN, R_MAX)
+
+
+@pytest.mark.parametrize("increment", [0.013, -0.013, 7.0])
+@pytest.mark.parametrize("anchor", [(0.0, 0.0), (-3.7, 12.1)])
+def test_end_cells_are_the_cells_of_the_end_points(increment, anchor):
+    rng = np.random.default_rng(1)
+    lattice = Lattice(0.07, anchor)
+    pose = Pose(-4.3, 2.2, 17.0)
+    ranges = rng.uniform(0.1, 9, 500).astype(np.float32)
+    ranges[::50] = NAN
+    scan = scan_of(ranges, angle_increment=increment)
+    ends, start = end_cells(scan, pose, lattice, GridSettings(alpha=0.2, clear_range=5.0, reach=7.0))
+    assert start == lattice.cell_of(pose.x, pose.y)
+    assert {0, 1, 2} == set(ends[2].tolist())
+    for k, reading in enumerate(ranges.tolist()):
+        beam = naive.classify(reading, 0.0, R_MAX, 0.2, 5.0, 7.0)
+        if beam is None:
+            assert ends[:, k].tolist() == [0, 0, SKIPPED]
+            continue
+        hit, length = beam
+        bearing = pose.theta + (scan.angle_min + k * increment)
+        end = lattice.cell_of(pose.x + length * math.cos(bearing), pose.y + length * math.sin(bearing))
+        assert ends[:, k].tolist() == [*end, HIT if hit else NO_RETURN]
+
+
+def test_ranges_are_read_whatever_their_layout():
+    straight = np.array([1, 2, 3, 4, 5, 6], np.float32)
+    wide = np.zeros((6, 3), np.float32)
+    wide[:, 1] = straight
+    misaligned = np.frombuffer(b"x" + straight.tobytes(), np.float32, offset=1)
+    settings, pose = GridSettings(), Pose(0.3, 0.2, 0.1)
+    expected, _ = end_cells(scan_of(straight), pose, Lattice(0.1), settings)
+    for ranges in (straight[::-1].copy()[::-1], wide[:, 1], misaligned, straight.astype(">f4")):
+        scan = Scan(1, -1.0, 0.3, 0.0, R_MAX, ranges)
+        assert np.array_equal(end_cells(scan, pose, Lattice(0.1), settings)[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("scan", "pose"),
+    [
+        (scan_of([1.0]), Pose(1e300, 0.0, 0.0)),
+        (scan_of([1.0]), Pose(0.0, -1e15, 0.0)),
+        (scan_of([1.0]), Pose(INF, 0.0, 0.0)),
+        (scan_of([1.0]), Pose(0.0, NAN, 0.0)),
+        (scan_of([1.0]), Pose(0.0, 0.0, INF)),
+        (scan_of([1.0]), Pose(0.0, 0.0, NAN)),
+        (scan_of([1.0, 1.0], angle_min=1e308, angle_increment=1e308), Pose(0.0, 0.0, 0.0)),
+        (scan_of([1.0], angle_min=1e308), Pose(0.0, 0.0, 1e308)),
+        (scan_of([900.0], angle_min=0.0, range_max=1000.0), Pose(2**52 * 0.05 - 1, 0.0, 0.0)),
+    ],
+)
+def test_what_has_no_cell_is_a_limit(scan, pose):
+    with pytest.raises(LimitReached):
+        end_cells(scan, pose, Lattice(0.05), GridSettings())
+
+
+def test_a_skipped_beam_need_not_have_a_cell():
+    scan = scan_of([1.0, NAN], angle_min=0.0, angle_increment=INF)
+    ends, _ = end_cells(scan_of([NAN], angle_min=INF), Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
+    assert ends.tolist() == [[0], [0], [SKIPPED]]
+    with pytest.raises(LimitReached):  # 0 * inf
+        end_cells(scan, Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
+
+
+def kinds_after(ends, start, rect):
+    ends = np.array(ends, np.int64).T.copy()
+    return beams.drop_outside(ends, *start, *rect), ends[2].tolist()
+
+
+def test_drop_outside_keeps_only_beams_that_end_inside():
+    rect = 2, -3, 5, 4  # columns 2 to 6, rows -3 to 0
+    ends = [
+        (2, -3, HIT),
+        (6, 0, NO_RETURN),
+        (1, 0, HIT),
+        (7, 0, HIT),
+        (6, 1, NO_RETURN),
+        (6, -4, HIT),
+        (9, 9, SKIPPED),
+    ]
+    counts, kinds = kinds_after(ends, (4, -1), rect)
+    assert counts == (6, 4)
+    assert kinds == [HIT, NO_RETURN, SKIPPED, SKIPPED, SKIPPED, SKIPPED, SKIPPED]
+
+
+@pytest.mark.parametrize("start", [(1, -1), (7, -1), (4, -4), (4, 1)])
+def test_drop_outside_drops_every_beam_of_a_sensor_outside(start):
+    counts, kinds = kinds_after([(3, -1, HIT), (4, -2, NO_RETURN), (0, 0, SKIPPED)], start, (2, -3, 5, 4))
+    assert (counts, kinds) == ((2, 2), [SKIPPED] * 3)
+
+
+def test_false_hits_near_range_max_fall_as_the_thickness_grows_over_the_noise():
+    sigma, beam_count = 0.02, 40_000
+    noise = np.random.default_rng(7).normal(0.0, sigma, beam_count)
+    readings = np.clip(R_MAX + noise, 0.0, R_MAX).astype(np.float32)
+    shares = []
+    for ratio in (0, 1, 2, 3, 4, 6):
+        settings = GridSettings(alpha=ratio * sigma)
+        ends, _ = end_cells(scan_of(readings), Pose(0.0, 0.0, 0.0), Lattice(0.1), settings)
+        shares.append(np.count_nonzero(ends[2] == HIT) / beam_count)
+        expected = 0.5 * math.erfc(ratio / 2 / math.sqrt(2))  # noise below -alpha / 2
+        assert shares[-1] == pytest.approx(expected, abs=5 * math.sqrt(expected / beam_count))
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] > 0.49
+    assert shares[-1] < 0.003

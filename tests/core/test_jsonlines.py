@@ -1,0 +1,146 @@
+"""JSON lines logs, line by line."""
+
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from log_lines import POSE, SCAN, line, parsed, same
+from ogm_core.recordings import RecordedPose, RecordedScan, read_jsonl, to_line
+from ogm_core.types import Pose, PoseStamped, Scan
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def test_a_pose_line_is_read():
+    messages, complaints = parsed(read_jsonl, line(POSE))
+    assert messages == [RecordedPose("r1", PoseStamped(10, Pose(1.0, 2.0, 0.5), 1, "a"))]
+    assert complaints == []
+
+
+def test_a_scan_line_is_read():
+    [scan], _ = parsed(read_jsonl, line(SCAN, mount=[0.1, 0.2, 0.3], pose=[1, 2, 3], time_increment=1e-4))
+    assert (scan.robot, scan.sensor) == ("r1", "front")
+    message = scan.message
+    assert (message.stamp, message.seq, message.run) == (20, 2, "")
+    assert (message.angle_min, message.angle_increment, message.time_increment) == (-1.0, 0.5, 1e-4)
+    assert (message.range_min, message.range_max) == (0.1, 30.0)
+    assert (message.mount, message.pose) == (Pose(0.1, 0.2, 0.3), Pose(1.0, 2.0, 3.0))
+    expected = np.array([1.1, 2.0, np.inf, -np.inf, np.nan], np.float32)
+    assert message.ranges.dtype == np.float32
+    np.testing.assert_array_equal(message.ranges, expected)
+    assert not message.ranges.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b"no json", "not JSON"),
+        (line(POSE)[:-1], "not JSON"),
+        (line(POSE) + b"}", "not JSON"),
+        (b'{"type": "\xff"}', "not JSON .*utf-8"),
+        (b"\x00", "not JSON"),
+        (b"[" * 200_000, "not JSON .*recursion"),
+        (b'{"stamp": ' + b"9" * 5000 + b"}", "not JSON .*digits"),
+        (b"[1, 2]", "not a JSON object"),
+        (b"null", "not a JSON object"),
+        (b"{}", "type: .* got NoneType"),
+        (line(POSE, type="map"), "type: .* got 'map'"),
+        (line(POSE, type=["pose"]), "type: .* got list"),
+        (line(POSE, robot="a/b"), "robot: "),
+        (line(POSE, robot=1), "robot: "),
+        (line(POSE, robot="r1\n"), "robot: "),
+        (line(POSE, x=math.nan), "not JSON .*bare NaN"),
+        (line(POSE, x="nan"), "x: a number"),
+        (line(POSE, x=True), "x: a number"),
+        (line(POSE).replace(b"1.0", b"1e999"), "x: a finite number"),
+        (line(POSE, x=10**400), "x: a finite number"),
+        (line(POSE, stamp=1.5), "stamp: a whole number"),
+        (line(POSE, run="\ud800"), "run: "),
+        (line(SCAN, sensor=None), "sensor: "),
+        (line(SCAN, ranges=[]), "ranges: 1 to"),
+        (line(SCAN, ranges="inf"), "ranges: a list"),
+        (line(SCAN, ranges=[1.0, True]), r"ranges\[1\]: .* got True"),
+        (line(SCAN, ranges=[None]), r"ranges\[0\]: .* got NoneType"),
+        (line(SCAN, ranges=[1.0, "Infinity"]), r"ranges\[1\]: .* got 'Infinity'"),
+        (line(SCAN, ranges=["1.0"]), r"ranges\[0\]: "),
+        (line(SCAN, ranges=[[1.0]]), r"ranges\[0\]: .* got list"),
+        (line(SCAN, ranges=[1.0, math.inf]), "not JSON .*bare Infinity"),
+        (line(SCAN, ranges=[1.0, -math.inf]), "not JSON .*bare -Infinity"),
+        (line(SCAN, ranges=[10**400]), "ranges: .*float64"),
+        (line(SCAN, range_max=0.05), "range_min: "),
+        (line(SCAN, pose=[0, 0, "nan"]), r"pose\[2\]: "),
+    ],
+)
+def test_a_malformed_line_is_named_and_passed_over(text, reason):
+    messages, complaints = parsed(read_jsonl, line(POSE), text, line(POSE))
+    assert len(messages) == 2
+    [(number, said)] = complaints
+    assert number == 2
+    assert re.match(reason, said), said
+
+
+@pytest.mark.parametrize("fields", [POSE, SCAN])
+def test_every_missing_field_is_named(fields):
+    optional = {"run"}
+    for name in fields.keys() - optional:
+        rest = {key: value for key, value in fields.items() if key != name}
+        messages, [(_, said)] = parsed(read_jsonl, line(rest))
+        assert messages == []
+        assert said.startswith(f"{name}: ")
+
+
+def test_blank_lines_are_nothing_but_count_as_lines():
+    messages, complaints = parsed(read_jsonl, b"", b"  \t", line(POSE) + b"\r", b"x")
+    assert len(messages) == 1
+    assert [number for number, _ in complaints] == [4]
+
+
+def test_numbers_beyond_float32_read_as_infinite():
+    [scan], _ = parsed(read_jsonl, line(SCAN, ranges=[1e39, -1e39, 3.4e38]))
+    np.testing.assert_array_equal(scan.message.ranges, np.array([np.inf, -np.inf, 3.4e38], np.float32))
+
+
+def test_max_beams_holds_for_logs_too():
+    messages, complaints = parsed(read_jsonl, line(SCAN), max_beams=4)
+    assert (messages, complaints) == ([], [(1, "ranges: 1 to 4 beams are needed, got 5")])
+
+
+@given(
+    ranges=arrays(np.float32, st.integers(1, 40), elements=st.floats(width=32)),
+    numbers=st.tuples(*[FINITE] * 6),
+    stamp=st.integers(0, 2**63 - 1),
+    run=st.text(st.characters(exclude_categories=["Cs"])),
+)
+def test_a_line_reads_back_bit_for_bit(ranges, numbers, stamp, run):
+    ranges[np.isnan(ranges)] = np.nan
+    pose, mount = Pose(*numbers[:3]), Pose(*numbers[3:])
+    scan = Scan(stamp, 0.1, -0.2, 0.0, 0.1, ranges, 1e-300, mount, pose, stamp, run)
+    written = [RecordedPose("r", PoseStamped(stamp, pose, stamp, run)), RecordedScan("r", "s", scan)]
+    lines = [to_line(message).encode() for message in written]
+    assert not any(b"\n" in text for text in lines)
+    back, complaints = parsed(read_jsonl, *lines)
+    assert complaints == []
+    assert len(back) == 2
+    assert all(map(same, written, back))
+
+
+def test_every_kind_of_float32_reads_back():
+    bits = np.random.default_rng(1).integers(0, 2**32, 200_000, dtype=np.uint32)
+    ranges = bits.view(np.float32)
+    ranges[np.isnan(ranges)] = np.nan
+    scan = Scan(0, 0.0, 1e-6, 0.0, 1.0, ranges)
+    [back], _ = parsed(read_jsonl, to_line(RecordedScan("r", "s", scan)).encode())
+    assert back.message.ranges.tobytes() == ranges.tobytes()
+
+
+def test_written_ranges_are_short_and_strict_json():
+    scan = Scan(0, 0.0, 0.1, 0.0, 1.0, np.array([0.1, 5.123, np.inf, -np.inf, np.nan], np.float32))
+    text = to_line(RecordedScan("r", "s", scan))
+    assert '"ranges":[0.1,5.123,"inf","-inf","nan"]' in text
+    assert "pose" not in json.loads(text)

@@ -1,0 +1,69 @@
+"""Keys and the names that may stand in them."""
+
+import pytest
+
+from ogm_core.errors import BadSetting
+from ogm_core.keys import SERVICES, MapKeys, Source, check_name
+
+KEYS = MapKeys("lab")
+BAD_NAMES = ["", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]
+
+
+@pytest.mark.parametrize("name", ["a", "A-z_0.9", ".", "robot1", "x" * 64])
+def test_a_good_name_is_returned_as_it_is(name):
+    assert check_name(name, "robot") == name
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+def test_a_bad_name_is_refused_wherever_it_would_stand(name):
+    with pytest.raises(BadSetting, match=r"^robot "):
+        check_name(name, "robot")
+    with pytest.raises(BadSetting, match=r"^map name "):
+        MapKeys(name)
+    with pytest.raises(BadSetting, match=r"^robot "):
+        KEYS.pose(name)
+    with pytest.raises(BadSetting, match=r"^robot "):
+        KEYS.scan(name, "laser")
+    with pytest.raises(BadSetting, match=r"^sensor "):
+        KEYS.scan("robot1", name)
+
+
+def test_keys_are_those_of_the_contract():
+    assert KEYS.robots == "ogm/v1/lab/robots/**"
+    assert KEYS.pose("r1") == "ogm/v1/lab/robots/r1/pose"
+    assert KEYS.scan("r1", "front") == "ogm/v1/lab/robots/r1/scan/front"
+    assert KEYS.alive("mapper", "id1", "run1") == "ogm/v1/lab/alive/mapper/id1/run1"
+    assert [KEYS.service(name) for name in SERVICES] == [
+        f"ogm/v1/lab/{name}" for name in ("map", "cell", "quality", "status", "reset")
+    ]
+
+
+def test_the_source_of_a_key_is_whom_it_was_made_for():
+    assert KEYS.source_of(KEYS.pose("r1")) == Source("r1", None)
+    assert KEYS.source_of(KEYS.scan("r1", "front")) == Source("r1", "front")
+    # Words of the key expression are names like any other.
+    assert KEYS.source_of(KEYS.scan("pose", "scan")) == Source("pose", "scan")
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        "ogm/v1/lab/map",
+        "ogm/v1/lab/robots",
+        "ogm/v1/lab/robots/r1",
+        "ogm/v1/lab/robots/r1/scan",
+        "ogm/v1/lab/robots/r1/pose/x",
+        "ogm/v1/lab/robots/r1/scan/front/x",
+        "ogm/v1/lab/robots/r1/odometry",
+        "ogm/v1/lab/robots//pose",
+        "ogm/v1/lab/robots/r 1/pose",
+        "ogm/v1/lab/robots/r 1/scan/front",
+        "ogm/v1/lab/robots/r1/scan/a b",
+        "ogm/v1/lab2/robots/r1/pose",
+        "ogm/v2/lab/robots/r1/pose",
+        "x/ogm/v1/lab/robots/r1/pose",
+    ],
+)
+def test_a_key_of_something_else_has_no_source(key):
+    assert KEYS.source_of(key) is None

@@ -1,0 +1,80 @@
+"""A mapper whose calls to its sink are recorded, and whose books are checked at every message."""
+
+import numpy as np
+
+from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_services.mapper.ledger import DROP_REASONS, Ledger
+from ogm_services.mapper.mapper import Mapper
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+class Sink:
+    """Records what it is handed; refuses the scans whose seq is in `refusals`, by that error."""
+
+    def __init__(self, refusals=None):
+        self.placed = []
+        self.refusals = refusals or {}
+
+    def integrate(self, scan, pose):
+        if scan.seq in self.refusals:
+            raise self.refusals[scan.seq]
+        self.placed.append((scan.seq, pose))
+        return 0
+
+
+class Desk:
+    """A mapper with a recording sink, and its books, checked at every message. Stamps count ms from T0."""
+
+    def __init__(self, sink=None):
+        self.sink = sink or Sink()
+        self.ledger = Ledger()
+        self.mapper = Mapper(self.sink, self.ledger)
+        self.received = 0
+
+    def pose(self, ms, pose=None, *, run="", robot="r"):
+        pose = Pose(ms / 1000, 0.0, 0.0) if pose is None else pose
+        self.ledger.pose_received(robot)
+        self.mapper.add_pose(robot, PoseStamped(T0 + round(ms * MS), pose, run=run))
+        self.check()
+        return self
+
+    def scan(self, ms, *, seq=None, robot="r", sensor="s", beams=1, **fields):
+        """A scan; by default its seq is the number of scans before it."""
+        seq = self.received if seq is None else seq
+        scan = Scan(T0 + round(ms * MS), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
+        self.received += 1
+        self.ledger.scan_received(robot, sensor)
+        self.mapper.add_scan(robot, sensor, scan)
+        self.check()
+        return self
+
+    def check(self):
+        """received = integrated + pending + dropped, and pending is what waits."""
+        scans = self.ledger.status()["scans"]
+        assert scans["received"] == self.received
+        assert scans["integrated"] == len(self.sink.placed)
+        assert scans["pending"] == self.received - len(self.sink.placed) - sum(scans["dropped"].values()) >= 0
+        assert self.mapper.waits == (scans["pending"] > 0)
+
+    @property
+    def order(self):
+        """Seqs of the integrated scans."""
+        return [seq for seq, _ in self.sink.placed]
+
+    @property
+    def xs(self):
+        """Where the scans were placed."""
+        return [pose.x for _, pose in self.sink.placed]
+
+    @property
+    def dropped(self):
+        """The reasons that any scan was dropped for, with counts."""
+        counts = self.ledger.status()["scans"]["dropped"]
+        assert tuple(counts) == DROP_REASONS
+        return {reason: count for reason, count in counts.items() if count}
+
+    @property
+    def pending(self):
+        return self.ledger.status()["scans"]["pending"]

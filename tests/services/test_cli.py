@@ -1,0 +1,282 @@
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import types
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ogm_core.errors import BadRecording, LimitReached
+from ogm_core.lattice import Region
+from ogm_services.cli import app
+from ogm_services.simulator_options import SimulatorOptions
+
+MAP_FLAGS = (
+    "--preset --resolution --model --traversal --p-occ --p-free --p-prior --alpha --l-min --l-max --reach "
+    "--clear-range --cells --bounds --outside"
+)
+NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
+HTTP_FLAGS = "--http-host --http-port"
+LOG_FLAGS = "--range-max --robot"
+FLAGS = {
+    "demo": f"--world --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
+    "mapper": f"--out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
+    "simulate": "--robots --rate --seed --world --beams --fov --range-max --noise --out --scans --config "
+    + NETWORK_FLAGS,
+    "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
+    "build": f"--out --hold-out --config {MAP_FLAGS} {LOG_FLAGS}",
+    "get": "--out -o --url --map",
+    "status": "--json --url --map",
+}
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch):
+    for name in [name for name in os.environ if name.startswith("OGM_")]:
+        monkeypatch.delenv(name)
+
+
+@pytest.fixture
+def ogm():
+    def ogm(*args):
+        return CliRunner().invoke(app, [str(arg) for arg in args], prog_name="ogm", catch_exceptions=False)
+
+    return ogm
+
+
+@dataclass
+class Stub:
+    """Stands in for a service's function: keeps its arguments, or raises."""
+
+    raises: BaseException | None = None
+    args: tuple = ()
+    options: dict = field(default_factory=dict)
+
+    def __call__(self, *args, **options):
+        self.args, self.options = args, options
+        if self.raises:
+            raise self.raises
+
+
+@pytest.fixture
+def stub(monkeypatch):
+    def stub(module, function, raises=None):
+        made = Stub(raises)
+        monkeypatch.setitem(sys.modules, module, types.SimpleNamespace(**{function: made, "record": made}))
+        return made
+
+    return stub
+
+
+@pytest.mark.parametrize("command", FLAGS)
+def test_help_lists_every_flag_and_nothing_else(ogm, command):
+    result = ogm(command, "--help")
+    assert result.exit_code == 0
+    shown = re.findall(r"^│[ *]*(--[a-z-]+)(?: +(-[a-z]) )?", result.stdout, re.MULTILINE)
+    assert {flag for flags in shown for flag in flags if flag} == {*FLAGS[command].split(), "--help"}
+
+
+def test_help_states_defaults_and_units(ogm):
+    text = " ".join(ogm("mapper", "--help").stdout.replace("│", " ").split())
+    assert "Size of a cell (default: 0.05)" in text
+    assert "METRES" in text
+    assert "int16|float64" in text
+    assert "(default: 8000)" in text
+
+
+def test_version(ogm):
+    result = ogm("--version")
+    assert result.exit_code == 0
+    assert result.stdout.startswith("ogm ")
+    assert result.stdout[4].isdigit()
+
+
+def test_help_loads_neither_kernels_nor_network():
+    code = (
+        "import sys, runpy; sys.argv = ['ogm', '--help']\n"
+        "try: runpy.run_module('ogm_services', run_name='__main__')\n"
+        "except SystemExit as end: assert end.code == 0, end.code\n"
+        "print(sorted({'numba', 'zenoh', 'fastapi', 'uvicorn', 'httpx'} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Usage: ogm" in done.stdout
+    assert done.stderr.strip() == "[]"
+
+
+def one_line(result, code):
+    """The complaint of a command that ended with `code`."""
+    assert result.exit_code == code
+    assert result.stdout == ""
+    assert result.stderr.startswith("ogm: ")
+    assert result.stderr.endswith("\n")
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "text"),
+    [
+        ("", "Missing command (see ogm --help)"),
+        ("mappr", "mappr"),
+        ("mapper --resolutio 1", "--resolution"),
+        ("mapper --alpha -1", "map.alpha: input should be greater than or equal to 0, got '-1' (--alpha)"),
+        ("mapper --bounds 0,0,1,0.98", "19.6 cells"),
+        ("mapper --config /nowhere/ogm.yaml", "/nowhere/ogm.yaml: cannot be read"),
+        ("demo --duration 0", "--duration"),
+        ("demo --http-port 70000", "(--http-port)"),
+        ("simulate --rate 0", "rate: more than 0 scans a second"),
+        ("simulate --robots 0", "robots: at least 1"),
+        ("simulate --robots many", "--robots"),
+        ("simulate --fov 361", "at most 360 degrees are needed, got 361"),
+        ("simulate --out run.jsonl", "--scans"),
+        ("simulate --map a/b", "map_name 'a/b'"),
+        ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
+        ("replay x.log --speed 0", "--speed"),
+        ("replay x.log --speed inf", "--speed"),
+        ("replay", "LOG"),
+        ("build x.log", "--out"),
+        ("build x.log --out d --hold-out 1", "--hold-out: 2 or more"),
+        ("get map.png", "--out"),
+        ("get map.gif -o x --url http://127.0.0.1:9", "map.gif"),
+        ("status --url nowhere", "nowhere"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):
+    assert text in one_line(ogm(*args.split()), 2)
+
+
+def test_an_unknown_name_in_the_environment_is_refused(ogm, monkeypatch):
+    monkeypatch.setenv("OGM_MAP__RESOLUTON", "1")
+    assert "OGM_MAP__RESOLUTON: unknown setting" in one_line(ogm("mapper"), 2)
+
+
+def test_the_mapper_gets_the_settings_of_all_sources(ogm, stub, monkeypatch, tmp_path):
+    run = stub("ogm_services.mapper.service", "run_mapper")
+    config = tmp_path / "ogm.yaml"
+    config.write_text("map: {preset: lab, alpha: 0.3, p_occ: 0.8}\nhttp: {port: 9000}\n")
+    monkeypatch.setenv("OGM_MAP__P_OCC", "0.9")
+    flags = "--l-min -4 --bounds -5,-5,5,5 --http-host 0.0.0.0 --map hall --listen tcp/a:1,tcp/b:2"
+    result = ogm("mapper", "--config", config, "--out", tmp_path / "out", *flags.split())
+    assert result.exit_code == 0
+    assert result.output == ""
+    settings, out = run.args
+    assert out == tmp_path / "out"
+    assert settings.map.model_dump(include={"preset", "alpha", "p_occ", "l_min", "cells"}) == {
+        "preset": "lab",
+        "alpha": 0.3,
+        "p_occ": 0.9,
+        "l_min": -4.0,
+        "cells": "float64",
+    }
+    assert settings.map.bounds == Region(-5.0, -5.0, 5.0, 5.0)
+    assert (settings.http.host, settings.http.port) == ("0.0.0.0", 9000)
+    assert settings.network.map_name == "hall"
+    assert settings.network.listen == ("tcp/a:1", "tcp/b:2")
+
+
+def test_demo_uses_the_ordinary_defaults_in_the_labs_world(ogm, stub):
+    run = stub("ogm_services.demo", "run_demo")
+    assert ogm("demo", "--duration", "2.5", "--http-port", "0").exit_code == 0
+    (settings,) = run.args
+    assert run.options == {"world": "lab", "duration": 2.5, "out": None}
+    assert (settings.map.preset, settings.map.resolution, settings.http.port) == (None, 0.05, 0)
+
+
+def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
+    run = stub("ogm_services.simulator", "run_simulator")
+    flags = "--robots 3 --rate 5 --seed 4 --world office --beams 90 --fov 180 --range-max 12 --noise 0.01"
+    assert ogm("simulate", *flags.split(), "--connect", "tcp/a:1").exit_code == 0
+    network, options = run.args
+    assert network.connect == ("tcp/a:1",)
+    assert options == SimulatorOptions("office", 3, 5.0, 4, 90, math.pi, 12.0, 0.01, None)
+
+
+def test_simulate_without_flags(ogm, stub):
+    run = stub("ogm_services.simulator", "run_simulator")
+    assert ogm("simulate").exit_code == 0
+    assert run.args[1] == SimulatorOptions()
+
+
+def test_simulate_records_without_network(ogm, stub):
+    record = stub("ogm_services.simulator", "run_simulator")
+    assert ogm("simulate", "--out", "run.jsonl.gz", "--scans", "10", "--fov", "360").exit_code == 0
+    options, out = record.args
+    assert (options.scans, options.fov, out) == (10, math.tau, Path("run.jsonl.gz"))
+
+
+@pytest.mark.parametrize(("text", "speed"), [("1", 1.0), ("2.5", 2.5), ("max", None)])
+def test_replay(ogm, stub, text, speed):
+    run = stub("ogm_services.replay", "run_replay")
+    result = ogm("replay", "a.log", "--speed", text, "--range-max", "50", "--robot", "r2", "--map", "m")
+    assert result.exit_code == 0
+    log, network = run.args
+    assert (log, network.map_name) == (Path("a.log"), "m")
+    assert run.options == {"speed": speed, "range_max": 50.0, "robot": "r2"}
+
+
+def test_replay_runs_as_recorded_unless_told_otherwise(ogm, stub):
+    run = stub("ogm_services.replay", "run_replay")
+    ogm("replay", "a.log")
+    assert run.options == {"speed": 1.0, "range_max": None, "robot": None}
+
+
+def test_build(ogm, stub):
+    run = stub("ogm_services.build", "run_build")
+    flags = "--out maps --hold-out 5 --range-max 8 --preset lab"
+    assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
+    log, out, settings = run.args
+    assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
+    assert run.options == {"range_max": 8.0, "robot": None, "hold_out": 5}
+
+
+def test_bad_input_found_later_is_exit_code_2(ogm, stub):
+    stub("ogm_services.build", "run_build", BadRecording("a.log: holds no scan"))
+    assert one_line(ogm("build", "a.log", "--out", "x"), 2) == "ogm: a.log: holds no scan\n"
+
+
+def test_a_failure_at_run_time_is_exit_code_1(ogm, stub):
+    stub("ogm_services.mapper.service", "run_mapper", LimitReached("too\nlarge"))
+    assert one_line(ogm("mapper"), 1) == "ogm: too large\n"
+
+
+def test_a_bug_keeps_its_traceback(ogm, stub):
+    stub("ogm_services.build", "run_build", ZeroDivisionError("bug"))
+    with pytest.raises(ZeroDivisionError, match="bug"):
+        ogm("build", "a.log", "--out", "x")
+
+
+SLEEPER = """
+import sys, threading, types
+def run(*args, **options):
+    print("ready", flush=True)
+    threading.Event().wait()
+sys.modules[{module!r}] = types.SimpleNamespace({function}=run)
+sys.argv = {argv!r}
+from ogm_services.cli import main
+main()
+"""
+INTERRUPTIONS = [
+    ("ogm_services.mapper.service", "run_mapper", "mapper", signal.SIGINT, 0),
+    ("ogm_services.mapper.service", "run_mapper", "mapper", signal.SIGTERM, 0),
+    ("ogm_services.demo", "run_demo", "demo", signal.SIGINT, 0),
+    ("ogm_services.replay", "run_replay", "replay a.log", signal.SIGINT, 130),
+    ("ogm_services.build", "run_build", "build a.log --out x", signal.SIGINT, 130),
+]
+
+
+@pytest.mark.parametrize(("module", "function", "command", "stop", "code"), INTERRUPTIONS)
+def test_interrupted(module, function, command, stop, code):
+    program = SLEEPER.format(module=module, function=function, argv=["ogm", *command.split()])
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    with process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(stop)
+        _, complaint = process.communicate(timeout=20)
+    assert (process.returncode, complaint) == (code, "")

@@ -1,0 +1,163 @@
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ogm_client import MapperError
+from ogm_core.lattice import Region
+from ogm_services.cli import app
+
+STATUS = {
+    "map": "hall",
+    "epoch": "e1",
+    "revision": 41,
+    "stamp": 1_700_000_000_500_000_000,
+    "scans": {
+        "received": 50,
+        "integrated": 41,
+        "pending": 2,
+        "dropped": {"malformed": 0, "no_pose": 7, "duplicate": 0, "stale": 0, "overload": 0},
+    },
+    "poses": {"received": 60, "malformed": 1, "late": 3},
+    "other": {"ignored": 5},
+    "map_info": {"known_cells": 1234, "bytes": 2_500_000, "width": 400, "height": 300, "resolution": 0.05},
+    "robots": {
+        "r1": {
+            "pose": [1.0, -2.5, 3.14159],
+            "stamp": 1_700_000_000_500_000_000,
+            "sources": {
+                "back": {"run": "a", "last_seq": 9, "received": 10, "pending": 0, "integrated": 8},
+                "front": {"run": "a", "last_seq": None, "received": 40, "pending": 2, "integrated": 33},
+            },
+        },
+        "r2": {"pose": None, "stamp": None, "sources": {}},
+    },
+    "uptime_s": 12.3,
+}
+
+
+@dataclass
+class FakeGrid:
+    region: Region | None
+
+    def save_ros_map(self, path):
+        Path(path).write_bytes(b"yaml")
+        Path(path).with_suffix(".pgm").write_bytes(b"pgm")
+
+
+class FakeClient:
+    """Answers what a mapper would; keeps what it was asked in `asked`."""
+
+    asked: list
+
+    def __init__(self, address, *, map_name):
+        FakeClient.asked = [(address, map_name)]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def fetch(self, name, /, **parameters):
+        if "palette" in parameters and parameters["palette"] == "pink":
+            raise MapperError("bad-parameter", 400, "palette: ros or probability")
+        if name == "map.pgm":
+            raise MapperError("map-empty", 404, "there is no known cell yet")
+        self.asked.append((name, parameters))
+        return b"\x89PNG"
+
+    def get_map(self, region=None):
+        self.asked.append(("map", region))
+        return FakeGrid(region)
+
+    def status(self):
+        return STATUS
+
+
+@pytest.fixture
+def ogm():
+    def ogm(*args):
+        return CliRunner().invoke(app, [str(arg) for arg in args], prog_name="ogm", catch_exceptions=False)
+
+    return ogm
+
+
+@pytest.fixture
+def mapper(monkeypatch):
+    monkeypatch.setattr("ogm_client.MapClient", FakeClient)
+    return FakeClient
+
+
+def test_get_writes_a_file(ogm, mapper, tmp_path):
+    out = tmp_path / "a.png"
+    result = ogm("get", "map.png?palette=probability&max_size=500", "-o", out)
+    assert (result.exit_code, result.output) == (0, "")
+    assert out.read_bytes() == b"\x89PNG"
+    assert mapper.asked == [
+        ("tcp/127.0.0.1:7447", "default"),
+        ("map.png", {"palette": "probability", "max_size": "500"}),
+    ]
+
+
+def test_get_to_stdout(ogm, mapper):
+    result = ogm("get", "map.png", "-o", "-", "--url", "http://h:1", "--map", "hall")
+    assert (result.exit_code, result.stdout_bytes) == (0, b"\x89PNG")
+    assert mapper.asked[0] == ("http://h:1", "hall")
+
+
+def test_get_map_yaml_brings_its_picture_from_the_same_map(ogm, mapper, tmp_path):
+    assert ogm("get", "map.yaml?region=-1,-2,3,4", "-o", tmp_path / "hall.yaml").exit_code == 0
+    assert (tmp_path / "hall.yaml").read_bytes() == b"yaml"
+    assert (tmp_path / "hall.pgm").read_bytes() == b"pgm"
+    assert mapper.asked[1:] == [("map", Region(-1.0, -2.0, 3.0, 4.0))]
+
+
+@pytest.mark.parametrize(
+    ("name", "out", "text"),
+    [
+        ("map.png", "/nowhere/a.png", "/nowhere/a.png: cannot be written: No such file or directory"),
+        ("map.yaml", "/nowhere/a.yaml", "/nowhere/a.yaml: cannot be written"),
+        ("map.yaml", "-", "-o FILE.yaml"),
+        ("map.yaml?palette=ros", "a.yaml", "not palette"),
+        ("map.yaml?region=1,2", "a.yaml", "region: four numbers"),
+        ("map.png?palette", "a.png", "KEY=VALUE"),
+        ("map.png?max_size=1&max_size=2", "a.png", "once"),
+        ("map.png?palette=pink", "a.png", "palette: ros or probability"),
+    ],
+)
+def test_get_refuses_bad_input(ogm, mapper, name, out, text):
+    result = ogm("get", name, "-o", out)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert text in result.stderr
+
+
+def test_what_the_mapper_cannot_answer_is_a_failure_at_run_time(ogm, mapper, tmp_path):
+    result = ogm("get", "map.pgm", "-o", tmp_path / "a.pgm")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "no known cell" in result.stderr
+    assert not (tmp_path / "a.pgm").exists()
+
+
+def test_status_as_json(ogm, mapper):
+    assert json.loads(ogm("status", "--json").stdout) == STATUS
+
+
+def test_status_as_a_table(ogm, mapper):
+    result = ogm("status")
+    assert result.exit_code == 0
+    lines = [line.split() for line in result.stdout.splitlines()]
+    rows = {line[0]: line[1:] for line in lines if line}
+    assert rows["map"] == ["hall"]
+    assert rows["revision"] == ["41"]
+    assert " ".join(rows["scans"]) == "50 received, 41 integrated, 2 pending"
+    assert " ".join(rows["dropped"]) == "7 no_pose"
+    assert " ".join(rows["poses"]) == "60 received, 1 malformed, 3 late"
+    assert rows["stamp"][0] in ("2023-11-14", "2023-11-15")  # 22:13:20 UTC, shown in local time
+    assert rows["stamp"][1][2:12] == ":13:20.500" or rows["stamp"][1][5:12] == ":20.500"
+    assert " ".join(rows["size"]) == "400 x 300 cells of 0.05 m"
+    assert " ".join(rows["r1"]) == "1.00 -2.50 3.14 back 10 8 0 9"
+    assert rows["front"] == ["40", "33", "2"]
+    assert rows["r2"] == []

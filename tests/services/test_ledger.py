@@ -1,0 +1,131 @@
+"""The books: every scan received is integrated, pending or dropped for one reason."""
+
+import threading
+
+import pytest
+
+from ogm_core.types import Pose
+from ogm_services.mapper.ledger import DROP_REASONS, Ledger
+
+NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
+
+
+def test_an_empty_ledger_has_every_name_of_the_status():
+    assert Ledger().status() == {
+        "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED},
+        "poses": {"received": 0, "malformed": 0, "late": 0},
+        "other": {"ignored": 0},
+        "robots": {},
+    }
+    assert DROP_REASONS == ("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside")
+
+
+def test_scans_are_counted_by_source_and_in_total():
+    ledger = Ledger()
+    for robot, sensor in (("a", "s"), ("a", "s"), ("a", "t"), ("b", "s"), ("b", "s")):
+        ledger.scan_received(robot, sensor)
+    ledger.scan_taken("a", "s", "run1", 4)
+    ledger.scan_integrated("a", "s")
+    ledger.scan_taken("b", "s", "run2", 9)
+    ledger.scan_dropped("b", "s", "stale")
+    ledger.scan_dropped("b", "s", "malformed")
+    status = ledger.status()
+    assert status["scans"] == {
+        "received": 5,
+        "integrated": 1,
+        "pending": 2,
+        "dropped": {**NOTHING_DROPPED, "stale": 1, "malformed": 1},
+    }
+    assert status["robots"]["a"]["sources"] == {
+        "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1},
+        "t": {"run": "", "last_seq": None, "received": 1, "pending": 1, "integrated": 0},
+    }
+    assert status["robots"]["b"]["sources"] == {
+        "s": {"run": "run2", "last_seq": 9, "received": 2, "pending": 0, "integrated": 0}
+    }
+
+
+@pytest.mark.parametrize("reason", DROP_REASONS)
+def test_a_dropped_scan_is_not_pending(reason):
+    ledger = Ledger()
+    ledger.scan_received("a", "s")
+    assert ledger.status()["scans"]["pending"] == 1
+    ledger.scan_dropped("a", "s", reason)
+    assert ledger.status()["scans"] == {
+        "received": 1,
+        "integrated": 0,
+        "pending": 0,
+        "dropped": {**NOTHING_DROPPED, reason: 1},
+    }
+
+
+def test_the_last_seq_is_that_of_the_scan_taken_last():
+    ledger = Ledger()
+    for run, seq in (("x", 5), ("x", 7), ("y", 0)):
+        ledger.scan_taken("a", "s", run, seq)
+    source = ledger.status()["robots"]["a"]["sources"]["s"]
+    assert (source["run"], source["last_seq"]) == ("y", 0)
+
+
+def test_poses_and_other_messages():
+    ledger = Ledger()
+    for _ in range(4):
+        ledger.pose_received("a")
+    ledger.pose_refused("late")
+    ledger.pose_refused("malformed")
+    ledger.pose_refused("late")
+    ledger.ignored()
+    status = ledger.status()
+    assert status["poses"] == {"received": 4, "malformed": 1, "late": 2}
+    assert status["other"] == {"ignored": 1}
+    assert status["robots"] == {"a": {"pose": None, "stamp": None, "sources": {}}}
+
+
+def test_a_robot_is_where_it_was_last_said_to_be():
+    ledger = Ledger()
+    ledger.located("a", 5, Pose(1.0, 2.0, 3.0))
+    ledger.located("a", 7, Pose(4.0, 5.0, 6.0))
+    assert ledger.status()["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
+
+
+def test_a_status_is_a_copy():
+    ledger = Ledger()
+    ledger.scan_received("a", "s")
+    before = ledger.status()
+    before["poses"]["received"] = 99
+    before["robots"].clear()
+    assert ledger.status()["poses"]["received"] == 0
+    assert list(ledger.status()["robots"]) == ["a"]
+
+
+def test_the_books_balance_at_every_moment_whatever_other_threads_do():
+    ledger, rounds = Ledger(), 2000
+    done = threading.Event()
+
+    def work(robot):
+        for k in range(rounds):
+            ledger.scan_received(robot, f"s{k % 3}")
+            if k % 2:
+                ledger.scan_integrated(robot, f"s{k % 3}")
+            else:
+                ledger.scan_dropped(robot, f"s{k % 3}", "no_pose")
+
+    def watch():
+        while not done.is_set():
+            scans = ledger.status()["scans"]
+            total = scans["integrated"] + scans["pending"] + sum(scans["dropped"].values())
+            if scans["received"] != total or scans["pending"] not in (0, 1, 2, 3):
+                unbalanced.append(scans)
+
+    unbalanced = []
+    threads = [threading.Thread(target=work, args=(robot,)) for robot in "abc"]
+    watcher = threading.Thread(target=watch)
+    for thread in [watcher, *threads]:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+    done.set()
+    watcher.join(20)
+    assert unbalanced == []
+    scans = ledger.status()["scans"]
+    assert (scans["received"], scans["integrated"], scans["pending"]) == (3 * rounds, 3 * rounds // 2, 0)
