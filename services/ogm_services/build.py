@@ -4,6 +4,7 @@ The log goes through the same Mapper as live messages do, in file order. A secon
 well the finished map agrees with the scans that made it.
 """
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import typer
 
-from ogm_core.errors import MapEmpty, ScanRefused
+from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, PlacedScan, held_out, map_figures
 from ogm_core.recordings import RecordedScan, RecordingReader
@@ -40,6 +41,8 @@ def run_build(
         BadRecording: the log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
+    # The report at the end says what was dropped; the mapper need not say it on the way.
+    logging.getLogger("ogm_services").addHandler(logging.NullHandler())
     max_beams = settings.mapper.max_beams
 
     def reader() -> RecordingReader:
@@ -109,9 +112,7 @@ class _JudgePass(_Pass):
         """Judge a scan, if the map took it."""
         if scan in self.withheld:
             self.withheld.remove(scan)
-        elif not next(self.accepted):
-            raise ScanRefused("the map did not take it")
-        else:
+        elif next(self.accepted):
             self.consistency.add(scan, pose)
         return 0
 

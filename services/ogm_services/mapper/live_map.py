@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from ogm_core.errors import LimitReached
@@ -22,17 +23,18 @@ class LiveMap:
 
     Who owns what: only the worker thread calls `integrate` and `reset`, and `_writing` is held while a kernel
     runs or cells are copied out. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody
-    changes; `_reading` keeps them from making the same copy or the same figures twice.
+    changes; `_reading` keeps them from making the same copy twice. Figures have locks of their own, so that
+    who waits for them holds up nobody else.
     """
 
     def __init__(self, grid: OccupancyGrid) -> None:
         self._grid = grid
         self._recent: deque[PlacedScan] = deque(maxlen=RECENT_SCANS)
         self._writing = threading.Lock()
-        self._reading = threading.RLock()
+        self._reading = threading.Lock()
         self._snapshot = grid.snapshot()
-        self._known_cells = _Timed()
-        self._quality = _Timed()
+        self._known_cells = _Figure()
+        self._quality = _Figure()
 
     def integrate(self, scan: Scan, pose: Pose) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
@@ -95,22 +97,25 @@ class LiveMap:
             "cell_updates": updates,
         }
 
-    def _figure(self, cached: "_Timed", compute: Any) -> Any:  # noqa: ANN401 - whatever is cached
-        with self._reading:
-            if cached.value is None or time.monotonic() - cached.time >= FIGURES_PERIOD:
-                identity = self.identity()
-                if cached.value is None or identity != cached.identity:
-                    cached.value = compute(self.snapshot())
-                    cached.identity, cached.time = identity, time.monotonic()
+    def _figure(self, cached: "_Figure", compute: Callable[[MapSnapshot], Any]) -> Any:  # noqa: ANN401
+        """The cached value, computed anew if the map has changed and the value is old enough."""
+        with cached.lock:
+            identity = self.identity()
+            old = cached.value is None or time.monotonic() - cached.time >= FIGURES_PERIOD
+            if old and identity != cached.identity:
+                cached.value = compute(self.snapshot())
+                cached.identity, cached.time = identity, time.monotonic()
             return cached.value
 
 
-class _Timed:
+class _Figure:
     """A value, the map that it is of, and when it was computed."""
 
-    value: Any = None
-    identity: Any = None
-    time: float = 0.0
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.value: Any = None
+        self.identity: dict[str, Any] | None = None
+        self.time = 0.0
 
 
 def _count_known(snapshot: MapSnapshot) -> int:

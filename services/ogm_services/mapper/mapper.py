@@ -7,10 +7,16 @@ from typing import Protocol, cast
 from ogm_core.errors import ScanRefused
 from ogm_core.poses import PoseHistory
 from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_services.limited_log import LimitedLog
 from ogm_services.mapper.ledger import DropReason, Ledger
 
 MAX_WAITING = 64
 """A scan waits for its pose until this many later ones of its sensor wait too."""
+_WHY: dict[DropReason, str] = {
+    "duplicate": "its seq is not above the last one of its run",
+    "no_pose": "the robot's poses do not cover its stamp",
+    "stale": "its stamp lies before the robot's oldest kept pose",
+}
 
 log = logging.getLogger(__name__)
 
@@ -38,14 +44,15 @@ class _Robot:
 class Mapper:
     """Places scans by their robots' poses and hands them on in the order in which they become ready.
 
-    One thread calls it. It reads no clock: `expire` is told the time. The same messages in the same order
-    give the same calls to the sink.
+    One thread calls it. No decision reads a clock: `expire` is told the time. The same messages in the same
+    order give the same calls to the sink.
     """
 
     def __init__(self, sink: ScanSink, ledger: Ledger) -> None:
         self._sink = sink
         self._ledger = ledger
         self._robots: dict[str, _Robot] = {}
+        self._complaints = LimitedLog(log)
 
     @property
     def waits(self) -> bool:
@@ -73,14 +80,14 @@ class Mapper:
         robot = self._robots.setdefault(name, _Robot())
         self._ledger.scan_taken(name, sensor, scan.run, scan.seq)
         if self._is_duplicate(robot, sensor, scan):
-            self._ledger.scan_dropped(name, sensor, "duplicate")
+            self._drop(name, sensor, "duplicate")
         elif scan.pose is not None:
             self._ledger.located(name, scan.stamp, scan.pose)
             self._integrate(name, sensor, scan, scan.pose)
         elif robot.poses.newest is not None and _ready_at(scan) <= robot.poses.newest:
             self._place(name, robot, sensor, scan)
         elif robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
-            self._ledger.scan_dropped(name, sensor, "stale")
+            self._drop(name, sensor, "stale")
         else:
             robot.waiting.append((sensor, scan))
             self._limit_waiting(name, robot, sensor)
@@ -114,21 +121,21 @@ class Mapper:
         mine = [index for index, item in enumerate(robot.waiting) if item[0] == sensor]
         if len(mine) > MAX_WAITING:
             del robot.waiting[mine[0]]
-            self._ledger.scan_dropped(name, sensor, "no_pose")
+            self._drop(name, sensor, "no_pose")
 
     def _give_up(self, name: str, robot: _Robot) -> None:
         for sensor, _ in robot.waiting:
-            self._ledger.scan_dropped(name, sensor, "no_pose")
+            self._drop(name, sensor, "no_pose")
         robot.waiting = []
 
     def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
         """Integrate a scan whose poses have all arrived, at the base pose of its stamp."""
         if robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
-            self._ledger.scan_dropped(name, sensor, "stale")
+            self._drop(name, sensor, "stale")
             return
         pose = robot.poses.at(scan.stamp)
         if pose is None:
-            self._ledger.scan_dropped(name, sensor, "no_pose")
+            self._drop(name, sensor, "no_pose")
         else:
             self._integrate(name, sensor, scan, pose)
 
@@ -136,10 +143,13 @@ class Mapper:
         try:
             self._sink.integrate(scan, base.compose(scan.mount))
         except ScanRefused as refusal:
-            self._ledger.scan_dropped(name, sensor, cast(DropReason, refusal.slug))
-            log.warning("%s/%s: a scan is dropped: %s", name, sensor, refusal)
+            self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         else:
             self._ledger.scan_integrated(name, sensor)
+
+    def _drop(self, name: str, sensor: str, reason: DropReason, why: str = "") -> None:
+        self._ledger.scan_dropped(name, sensor, reason)
+        self._complaints.warning(f"{name}/{sensor}", f"a scan is dropped: {why or _WHY[reason]}")
 
 
 def _ready_at(scan: Scan) -> int:
