@@ -30,6 +30,7 @@ app = typer.Typer(
     name="ogm",
     cls=OneLineErrors,
     add_completion=False,
+    no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Live occupancy grid maps from robots' poses and 2D LiDAR scans, over Zenoh and HTTP.",
 )

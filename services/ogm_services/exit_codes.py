@@ -32,7 +32,8 @@ class OneLineErrors(TyperGroup):
             code = super().main(*args, **{**extra, "standalone_mode": False})
         except UsageError as error:
             command = error.ctx.command_path if error.ctx else "ogm"
-            code = _complain(f"{error.format_message().rstrip('.')} (see {command} --help)", BAD_INPUT)
+            message = error.format_message().rstrip(".") or "a command is needed"
+            code = _complain(f"{message} (see {command} --help)", BAD_INPUT)
         except OgmError as error:
             code = _complain(str(error), BAD_INPUT if isinstance(error, BadInput) else FAILED)
         except typer.Abort:

@@ -121,7 +121,7 @@ def one_line(result, code):
 @pytest.mark.parametrize(
     ("args", "text"),
     [
-        ("", "Missing command (see ogm --help)"),
+        ("", "a command is needed (see ogm --help)"),
         ("mappr", "mappr"),
         ("mapper --resolutio 1", "--resolution"),
         ("mapper --alpha -1", "map.alpha: input should be greater than or equal to 0, got '-1' (--alpha)"),

@@ -16,8 +16,8 @@ from ogm_services.mapper.live_map import LiveMap
 
 Parameters = Mapping[str, str]
 
-CACHED_ANSWERS = 8
-"""Encoded maps of the current revision that are kept."""
+CACHE_BYTES = 64 * 1024**2
+"""Encoded maps of the current revision that are kept for the next who asks."""
 
 
 class UnknownName(OgmError):
@@ -155,16 +155,20 @@ class _AnswerCache:
         self._lock = threading.Lock()
         self._of: MapSnapshot | None = None
         self._answers: dict[Any, Answer] = {}
+        self._size = 0
 
     def find(self, snapshot: MapSnapshot, key: object) -> Answer | None:
         with self._lock:
             return self._answers.get(key) if self._of is snapshot else None
 
     def keep(self, snapshot: MapSnapshot, key: object, answer: Answer) -> None:
+        size = len(answer.body)
         with self._lock:
-            if self._of is not snapshot or len(self._answers) >= CACHED_ANSWERS:
-                self._of, self._answers = snapshot, {}
-            self._answers[key] = answer
+            if self._of is not snapshot or self._size + size > CACHE_BYTES:
+                self._of, self._answers, self._size = snapshot, {}, 0
+            if size <= CACHE_BYTES:
+                self._answers[key] = answer
+                self._size += size
 
 
 def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:
