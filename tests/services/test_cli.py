@@ -121,7 +121,6 @@ def one_line(result, code):
 @pytest.mark.parametrize(
     ("args", "text"),
     [
-        ("", "a command is needed (see ogm --help)"),
         ("mappr", "mappr"),
         ("mapper --resolutio 1", "--resolution"),
         ("mapper --alpha -1", "map.alpha: input should be greater than or equal to 0, got '-1' (--alpha)"),
@@ -148,6 +147,13 @@ def one_line(result, code):
 )
 def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):
     assert text in one_line(ogm(*args.split()), 2)
+
+
+def test_without_a_command_it_shows_its_help(ogm):
+    result = ogm()
+    assert result.exit_code == 2
+    assert "Usage: ogm" in result.stdout
+    assert result.stderr == "ogm: a command is needed (see ogm --help)\n"
 
 
 def test_an_unknown_name_in_the_environment_is_refused(ogm, monkeypatch):
