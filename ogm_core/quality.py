@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core import judge
+from ogm_core import beams, judge
 from ogm_core.grid_settings import GridSettings
 from ogm_core.logodds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.projection import beam_model, end_cells, read_only
@@ -47,11 +47,15 @@ class Consistency:
         self._settings = settings
         self._snapshot = snapshot
         self._beliefs = snapshot.model.encode(snapshot.cells, _side_of_half)
+        self._dropping = settings.lattice()[1] if settings.outside == "drop" else None
+        """The bounds, if beams that leave them are not in the map."""
         self._counts = np.zeros(4, np.int64)
 
     def add(self, scan: Scan, pose: Pose) -> None:
         """Judge a scan that was integrated at the sensor's `pose`."""
         ends, (i0, j0) = end_cells(scan, pose, self._snapshot.lattice, self._settings)
+        if self._dropping is not None:
+            beams.drop_outside(ends, i0, j0, *self._dropping)
         ix, iy = self._snapshot.offset
         ends[0] -= ix
         ends[1] -= iy

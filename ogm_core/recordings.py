@@ -172,7 +172,8 @@ class RecordingReader:
         if self._named((".gz",)):
             lines = gzip.GzipFile(fileobj=self._file, mode="rb")
         try:
-            yield from lines
+            for line in lines:  # noqa: UP028 (`yield from` would close the file along with this generator)
+                yield line
         except EOFError as error:
             raise BadRecording(f"{self.path}: truncated, its gzip stream ends too early") from error
         except (gzip.BadGzipFile, zlib.error) as error:

@@ -91,13 +91,14 @@ def test_without_thickness_every_range_below_range_max_is_a_hit():
 
 @pytest.mark.parametrize("increment", [0.013, -0.013, 7.0])
 @pytest.mark.parametrize("anchor", [(0.0, 0.0), (-3.7, 12.1)])
-def test_end_cells_are_the_cells_of_the_end_points(increment, anchor):
+@pytest.mark.parametrize("theta", [17.0, 1e15])  # the order of the sum shows in a heading of 1e15
+def test_end_cells_are_the_cells_of_the_end_points(increment, anchor, theta):
     rng = np.random.default_rng(1)
     lattice = Lattice(0.07, anchor)
-    pose = Pose(-4.3, 2.2, 17.0)
+    pose = Pose(-4.3, 2.2, theta)
     ranges = rng.uniform(0.1, 9, 500).astype(np.float32)
     ranges[::50] = NAN
-    scan = scan_of(ranges, angle_increment=increment)
+    scan = scan_of(ranges, angle_min=-1.06, angle_increment=increment)
     ends, start = end_cells(scan, pose, lattice, GridSettings(alpha=0.2, clear_range=5.0, reach=7.0))
     assert start == lattice.cell_of(pose.x, pose.y)
     assert {0, 1, 2} == set(ends[2].tolist())
@@ -110,6 +111,13 @@ def test_end_cells_are_the_cells_of_the_end_points(increment, anchor):
         bearing = pose.theta + (scan.angle_min + k * increment)
         end = lattice.cell_of(pose.x + length * math.cos(bearing), pose.y + length * math.sin(bearing))
         assert ends[:, k].tolist() == [*end, HIT if hit else NO_RETURN]
+
+
+def test_metres_are_divided_into_cells():
+    # 0.05 + 0.25 is 0.3, and 0.3 / 0.1 just below 3; times 1 / 0.1 it would be 3.
+    scan = scan_of([0.25, 0.25], angle_min=0.0, angle_increment=math.pi / 2)
+    ends, _ = end_cells(scan, Pose(0.05, 0.05, 0.0), Lattice(0.1), GridSettings())
+    assert ends[:2].tolist() == [[2, 0], [0, 2]]
 
 
 def test_ranges_are_read_whatever_their_layout():

@@ -210,6 +210,11 @@ def test_float64_log_odds_of_zero_are_not_the_prior():
         assert hit == (step - 1) * model.d_occ
         assert model.known(grid.snapshot().cells).all()
     assert_equal(grid, twin)
+    for reading in (0.7, 0.6):  # a cell is hit, which makes it zero, and passed
+        observe(grid, twin, scan_of([reading]), Pose(0.05, 0.05, EAST))
+    assert_equal(grid, twin)
+    observe(grid, twin, scan_of([0.9]), Pose(0.05, 0.05, EAST))
+    assert_equal(grid, twin)
 
 
 @BOTH

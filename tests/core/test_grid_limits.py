@@ -160,6 +160,15 @@ def test_max_bytes_counts_tiles_exactly():
     refuses(grid_of(max_bytes=needed - 1), cross, ORIGIN)
 
 
+def test_max_bytes_counts_the_tiles_of_a_straight_beam_exactly():
+    beam = scan_of([40.0])
+    grid = grid_of()
+    grid.integrate(beam, ORIGIN)
+    assert grid.nbytes == 7 * TILE_BYTES + table_bytes(CellRect(0, 0, 448, 64))
+    refuses(grid_of(max_bytes=grid.nbytes - 1), beam, ORIGIN)
+    grid_of(max_bytes=grid.nbytes).integrate(beam, ORIGIN)
+
+
 @pytest.mark.parametrize("cells", ["int16", "float64"])
 def test_after_max_bytes_scans_within_what_is_allocated_still_go_in(cells):
     grid = grid_of(max_bytes=200_000, model=LogOdds(cells))
