@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check format clean
+.PHONY: demo test check format pictures clean
 
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
@@ -20,6 +20,18 @@ check: $(VENV)/.dev
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# The maps that README.md shows: one lap through each of the simulated worlds.
+pictures: $(VENV)/.run
+	$(call picture,lab,220)
+	$(call picture,office,3675)
+
+define picture
+mkdir -p build/pictures
+$(BIN)/ogm simulate --world $(1) --scans $(2) --seed 1 --out build/pictures/$(1).jsonl.gz
+$(BIN)/ogm build build/pictures/$(1).jsonl.gz --out build/pictures/$(1)
+cp build/pictures/$(1)/map.png docs/$(1).png
+endef
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

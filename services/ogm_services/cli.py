@@ -100,9 +100,9 @@ def demo(
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     settings = settings_from(config, map_flags, network, http)
-    from ogm_services.demo import run_demo
-
     with running_service():
+        from ogm_services.demo import run_demo
+
         run_demo(settings, world=world, duration=duration, out=out)
 
 
@@ -117,9 +117,9 @@ def mapper(
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
     settings = settings_from(config, map_flags, network, http)
-    from ogm_services.mapper.service import run_mapper
-
     with running_service():
+        from ogm_services.mapper.service import run_mapper
+
         run_mapper(settings, out)
 
 
@@ -161,12 +161,14 @@ def simulate(
     settings = settings_from(config, network)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
-    from ogm_services.simulator import record, run_simulator
-
     if out is not None:
+        from ogm_services.simulator import record
+
         record(options, out)
         return
     with running_service():
+        from ogm_services.simulator import run_simulator
+
         run_simulator(settings.network, options)
 
 
@@ -198,9 +200,9 @@ def replay(
     """Publish a recorded log as its robots did."""
     factor = _speed(speed)
     settings = settings_from(config, network)
-    from ogm_services.replay import run_replay
-
     with running_service(interrupted=INTERRUPTED):
+        from ogm_services.replay import run_replay
+
         run_replay(log, settings.network, speed=factor, range_max=log_flags.range_max, robot=log_flags.robot)
 
 

@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import typer
@@ -15,6 +15,7 @@ from ogm_client.map_client import MapClient
 from ogm_client.session import resolve_listen
 from ogm_core.errors import OgmError
 from ogm_core.worlds import world_named
+from ogm_services.exit_codes import held_signals
 from ogm_services.mapper.service import LIVE_MAP
 from ogm_services.settings import Settings, without_settings
 
@@ -100,21 +101,21 @@ def _scans(url: str) -> dict[str, int]:
 @contextmanager
 def _process(*arguments: str) -> Iterator[Process]:
     """Run `ogm` with these arguments, in this terminal's process group; stop it at the end."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ogm_services", *arguments],
-        env=without_settings(os.environ),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with ExitStack() as ending:
+        with held_signals():  # a signal between the start and the callback would leave the process behind
+            process = subprocess.Popen(
+                [sys.executable, "-m", "ogm_services", *arguments],
+                env=without_settings(os.environ),
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            ending.callback(_stop, process)
         yield process
-    finally:
-        code = _stopped(process)
-    if code != 0:
-        raise DemoFailed(f"{_name(process)} ended with exit code {code}")
+    if process.returncode != 0:
+        raise DemoFailed(f"{_name(process)} ended with exit code {process.returncode}")
 
 
-def _stopped(process: Process) -> int:
+def _stop(process: Process) -> None:
     """End a process as Ctrl-C would, or by force if it takes too long; pass on what it printed."""
     process.terminate()
     try:
@@ -124,7 +125,6 @@ def _stopped(process: Process) -> int:
         printed, _ = process.communicate()
     if printed:
         typer.echo(printed.rstrip())
-    return process.returncode
 
 
 def _name(process: Process) -> str:

@@ -50,14 +50,18 @@ def _complain(text: str, code: int) -> int:
 def running_service(interrupted: int = 0) -> Iterator[None]:
     """Log to stderr; Ctrl-C and SIGTERM alike end what runs inside, with exit code `interrupted`.
 
-    A second signal is ignored: what runs inside then stops already, in bounded time, and may be writing.
+    A second signal is ignored, to the process's end: what runs inside then stops already, in bounded time,
+    and may be writing.
     """
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
 
-    def interrupt(*_: object) -> NoReturn:
-        for number in _ENDING:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
+    ending = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal ending
+        if not ending:
+            ending = True
+            raise KeyboardInterrupt
 
     before = {number: signal.signal(number, interrupt) for number in _ENDING}
     try:
@@ -66,4 +70,22 @@ def running_service(interrupted: int = 0) -> Iterator[None]:
         raise typer.Exit(interrupted) from None
     finally:
         for number, handler in before.items():
+            signal.signal(number, signal.SIG_IGN if ending else handler)
+
+
+@contextmanager
+def held_signals() -> Iterator[None]:
+    """Put off Ctrl-C and SIGTERM until what runs inside is done; main thread only."""
+    held: list[int] = []
+
+    def hold(number: int, _: object) -> None:
+        held.append(number)
+
+    before = {number: signal.signal(number, hold) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
             signal.signal(number, handler)
+    if held:
+        signal.raise_signal(held[0])

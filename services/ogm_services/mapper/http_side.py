@@ -2,16 +2,17 @@
 
 import importlib.metadata
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ogm_core.errors import BadParameter, OgmError
 from ogm_services.mapper.answers import MAP_FORMATS, Answer, Answers, Parameters
@@ -41,6 +42,23 @@ class Health:
     ready: Callable[[], bool]
 
 
+class _NoStore:
+    """ASGI middleware: nothing is kept by caches unless a route says otherwise."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_marked(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in NO_STORE.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_marked)
+
+
 def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
     """Make the application; nothing is computed before a request comes."""
     version = importlib.metadata.version("zenoh-ogm")
@@ -48,12 +66,15 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
         title="zenoh-ogm mapper",
         version=version,
         description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
+        redoc_url=None,
     )
+    app.add_middleware(_NoStore)
     for form, wanted in MAP_FORMATS.items():
-        _get(app, f"/map.{form}", _map_handler(answers, form), sorted(wanted.parameters), wanted.media_type)
-    _get(app, "/cell", _handler(answers.cell), ["x", "y"], "application/json")
-    _get(app, "/quality", _handler(answers.quality), [], "application/json")
-    _get(app, "/status", _handler(answers.status), [], "application/json")
+        handler, summary = _map_handler(answers, form), f"The map as {form.upper()}"
+        _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))
+    _get(app, "/cell", _handler(answers.cell), "application/json", "One cell", ["x", "y"])
+    _get(app, "/quality", _handler(answers.quality), "application/json", "The quality figures")
+    _get(app, "/status", _handler(answers.status), "application/json", "The mapper's status")
     _add_service_routes(app, answers, health, version)
 
     @app.post("/reset", summary="Empty the map: a new epoch, revision 0")
@@ -72,7 +93,7 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
     page = files("ogm_services.mapper").joinpath("page.html").read_text("utf-8")
 
     async def show_page(_: Request) -> Response:
-        return HTMLResponse(page, headers=NO_STORE)
+        return HTMLResponse(page)
 
     async def livez(_: Request) -> Response:
         return _probe(health.alive(), "the worker has stopped")
@@ -82,27 +103,40 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
 
     async def metrics(_: Request) -> Response:
         text = prometheus_text(await run_in_threadpool(answers.status_fields))
-        return PlainTextResponse(text, media_type="text/plain; version=0.0.4", headers=NO_STORE)
+        return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
 
     async def show_version(_: Request) -> Response:
-        return JSONResponse({"name": "zenoh-ogm", "version": version}, headers=NO_STORE)
+        return JSONResponse({"name": "zenoh-ogm", "version": version})
 
-    _get(app, "/", show_page, [], "text/html")
-    _get(app, "/livez", livez, [], "text/plain")
-    _get(app, "/readyz", readyz, [], "text/plain")
-    _get(app, "/metrics", metrics, [], "text/plain")
-    _get(app, "/version", show_version, [], "application/json")
+    _get(app, "/", show_page, "text/html", "The live page")
+    _get(app, "/livez", livez, "text/plain", "Whether the mapper works: 200 or 503")
+    _get(app, "/readyz", readyz, "text/plain", "Whether it takes scans: 200 or 503")
+    _get(app, "/metrics", metrics, "text/plain", "The status as Prometheus text")
+    _get(app, "/version", show_version, "application/json", "Name and version of this program")
 
 
-def _get(app: FastAPI, path: str, handler: Handler, parameters: list[str], media_type: str) -> None:
+def _get(
+    app: FastAPI, path: str, handler: Handler, media_type: str, summary: str, parameters: Sequence[str] = ()
+) -> None:
     """Route GET and HEAD; the parameters are documented here and checked where they are used."""
     described = [
-        {"name": name, "in": "query", "description": _PARAMETERS[name], "schema": {"type": "string"}}
+        {
+            "name": name,
+            "in": "query",
+            "required": name in ("x", "y"),
+            "description": _PARAMETERS[name],
+            "schema": {"type": "string"},
+        }
         for name in parameters
     ]
-    extra = {"parameters": described} if described else None
-    responses: dict[int | str, dict[str, Any]] = {200: {"content": {media_type: {}}}}
-    app.add_api_route(path, handler, methods=["GET"], openapi_extra=extra, responses=responses)
+    app.add_api_route(
+        path,
+        handler,
+        summary=summary,
+        response_class=Response,  # without a media type of its own, so that the one given here stands alone
+        responses={200: {"content": {media_type: {}}}},
+        openapi_extra={"parameters": described} if described else None,
+    )
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 
 
@@ -156,26 +190,27 @@ def _parameters_of(request: Request, *, allowed: bool = True) -> Parameters:
 
 
 def _plain(answer: Answer) -> Response:
-    return Response(answer.body, media_type=answer.media_type, headers=NO_STORE)
+    return Response(answer.body, media_type=answer.media_type)
 
 
 def _probe(healthy: bool, otherwise: str) -> Response:
     text, status = ("ok", 200) if healthy else (otherwise, 503)
-    return PlainTextResponse(text, status_code=status, headers=NO_STORE)
+    return PlainTextResponse(text, status_code=status)
 
 
 async def _ogm_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, OgmError)
-    return Response(problem_of(error), status_of(error), NO_STORE, MEDIA_TYPE)
+    return Response(problem_of(error), status_of(error), media_type=MEDIA_TYPE)
 
 
 async def _http_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     slug = {404: "not-found", 405: "method-not-allowed"}.get(error.status_code, "http")
     body = problem(slug, error.status_code, str(error.detail))
-    return Response(body, error.status_code, {**NO_STORE, **(error.headers or {})}, MEDIA_TYPE)
+    return Response(body, error.status_code, error.headers, MEDIA_TYPE)
 
 
 async def _bug(request: Request, error: Exception) -> Response:
     log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    return Response(problem("internal", 500, "the mapper failed; see its log"), 500, NO_STORE, MEDIA_TYPE)
+    body = problem("internal", 500, "the mapper failed; see its log")
+    return Response(body, 500, NO_STORE, MEDIA_TYPE)  # it does not pass through _NoStore

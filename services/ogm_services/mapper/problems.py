@@ -5,11 +5,17 @@ import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
 from ogm_services.mapper.answers import UnknownName
+from ogm_services.mapper.worker import Unavailable
 
 MEDIA_TYPE = "application/problem+json"
 
 # First match wins.
-_STATUS: tuple[tuple[type[OgmError], int], ...] = ((MapEmpty, 404), (UnknownName, 404), (BadInput, 400))
+_STATUS: tuple[tuple[type[OgmError], int], ...] = (
+    (MapEmpty, 404),
+    (UnknownName, 404),
+    (BadInput, 400),
+    (Unavailable, 503),
+)
 
 
 def status_of(error: OgmError) -> int:

@@ -1,5 +1,6 @@
 """The mapper as a running service: started, warmed up, served, and stopped in order."""
 
+import asyncio
 import dataclasses
 import logging
 import math
@@ -150,6 +151,7 @@ class _HttpThread:
     """uvicorn beside the main thread, which keeps the signals to itself."""
 
     def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:
+        logging.getLogger("uvicorn.error").addFilter(_not_cut_off)
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")
 
@@ -159,6 +161,11 @@ class _HttpThread:
     def __exit__(self, *_: object) -> None:
         self._server.should_exit = True
         self._thread.join()
+
+
+def _not_cut_off(record: logging.LogRecord) -> bool:
+    """Whether a log record is no traceback of a request that was cut off when the mapper stopped."""
+    return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
 def warm_up(settings: GridSettings) -> None:

@@ -4,8 +4,9 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 
-from ogm_core.errors import BadMessage
+from ogm_core.errors import BadMessage, OgmError
 from ogm_core.messages import decode_pose, decode_scan
 from ogm_services.limited_log import LimitedLog
 from ogm_services.mapper.inbox import Inbox, Item
@@ -16,6 +17,12 @@ WAKE_PERIOD = 0.1
 """How often robots with waiting scans are looked after while nothing arrives, s."""
 
 log = logging.getLogger(__name__)
+
+
+class Unavailable(OgmError):
+    """The worker did not get to a command: the mapper is stopping, or far behind."""
+
+    slug = "unavailable"
 
 
 class Worker:
@@ -50,31 +57,47 @@ class Worker:
         """Run `command` on the worker's thread, after every message that came before; wait until it is done.
 
         Raises:
-            TimeoutError: it was not done in time, or the worker has stopped.
+            Unavailable: it was not begun in time, or the worker has stopped; it may still be done.
         """
-        done = threading.Event()
+        outcome: Future[None] = Future()
 
         def run() -> None:
-            command()
-            done.set()
+            try:
+                command()
+            except Exception as error:
+                outcome.set_exception(error)
+                raise
+            outcome.set_result(None)
 
+        deadline = time.monotonic() + timeout
         self._inbox.put(Item(None, b"", time.monotonic(), run))
-        if not done.wait(timeout):
-            raise TimeoutError("the worker did not get to a command in time")
+        while not outcome.done():
+            if not self.alive or time.monotonic() >= deadline:
+                raise Unavailable("the mapper is stopping, or too busy: try again later")
+            wait([outcome], WAKE_PERIOD)
+        outcome.result()
 
     def _run(self) -> None:
         while not self._inbox.closed:
             item = self._inbox.take(WAKE_PERIOD if self._mapper.waits else None)
-            if item is None:
-                self._mapper.expire(time.monotonic(), self._pose_wait)
-            elif item.command is not None:
-                item.command()
-            elif item.source is not None:
+            # Up to an item's arrival every message has been handled, however long the queue is; the clock may
+            # be far ahead of that.
+            now = time.monotonic() if item is None else item.arrival
+            self._mapper.expire(now, self._pose_wait)
+            if item is not None:
                 try:
-                    self._handle(item, *item.source)
+                    self._work_on(item)
                 except Exception:
                     # A bug of ours: its traceback is kept, and it harms one message, not the map.
-                    log.exception("a message of %s failed", item.source)
+                    log.exception(
+                        "%s failed", "a command" if item.source is None else f"a message of {item.source}"
+                    )
+
+    def _work_on(self, item: Item) -> None:
+        if item.command is not None:
+            item.command()
+        elif item.source is not None:
+            self._handle(item, *item.source)
 
     def _handle(self, item: Item, robot: str, sensor: str | None) -> None:
         """Decode a message and hand it to the mapper; a bad one is counted."""

@@ -7,7 +7,6 @@ import uuid
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import Any
 
 import msgpack
 import zenoh
@@ -137,9 +136,18 @@ def _reply(query: zenoh.Query, key: str, answer: Callable[[zenoh.Query], Answer]
 
 
 def _parameters(query: zenoh.Query) -> dict[str, str]:
-    """The selector's parameters; names that begin with "_" are Zenoh's own."""
-    parameters: Any = query.parameters
-    return {name: value for name, value in dict(parameters).items() if not name.startswith("_")}
+    """The selector's parameters; names that begin with "_" are Zenoh's own.
+
+    Raises:
+        BadParameter: one is given twice (Zenoh's own reading would silently take the last).
+    """
+    given: dict[str, str] = {}
+    for part in filter(None, str(query.parameters).split(";")):
+        name, _, value = part.partition("=")
+        if name in given:
+            raise BadParameter(f"{name}: given twice")
+        given[name] = value
+    return {name: value for name, value in given.items() if not name.startswith("_")}
 
 
 def _host_name() -> str:

@@ -1,0 +1,180 @@
+"""`ogm replay` into a mapper of another process gives the map that `ogm build` gives, value for value."""
+
+import gzip
+import json
+import signal
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from rough_log import write_rough_log
+
+LAP = 10.95
+"""Seconds from the first to the last scan of the lab's recording."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log, the flags that it needs, and what becomes of its scans."""
+
+    path: Path
+    scans: int
+    dropped: dict = field(default_factory=dict)
+    late: int = 0
+    log_flags: tuple = ()
+    map_flags: tuple = ()
+
+
+@pytest.fixture
+def lab_log(lab_recording):
+    return Log(lab_recording, 220)
+
+
+@pytest.fixture
+def lab_preset_log(lab_recording):
+    return Log(lab_recording, 220, map_flags=("--preset", "lab"))
+
+
+@pytest.fixture
+def rough_log(tmp_path):
+    path = tmp_path / "rough.jsonl"
+    return Log(path, *write_rough_log(path))
+
+
+@pytest.fixture
+def intel_log(intel):
+    path = intel / "intel-corrected.log.gz"
+    return Log(path, 910, log_flags=("--range-max", "80"), map_flags=("--clear-range", "25"))
+
+
+def built(ogm, log, name="built"):
+    """A running build; `built_map` reads what it made."""
+    return ogm.start("build", log.path, "--out", name, *log.log_flags, *log.map_flags)
+
+
+def replayed(ogm, log, mapper, *flags):
+    """A running replay."""
+    flags = flags or ("--speed", "max")
+    return ogm.start("replay", log.path, "--connect", mapper.endpoint, *log.log_flags, *flags)
+
+
+@pytest.mark.parametrize("name", ["lab_log", "lab_preset_log", "rough_log", "intel_log"])
+def test_replayed_and_built_maps_are_equal(ogm, assert_equal_maps, request, name):
+    log = request.getfixturevalue(name)
+    starting = [ogm.mapper(*log.map_flags) for _ in range(2)]
+    build = built(ogm, log)
+    mappers = [ogm.ready(command) for command in starting]
+    replays = [replayed(ogm, log, mapper) for mapper in mappers]
+    assert (build.wait().code, build.wait().err) == (0, "")
+    expected = ogm.map("built/map.npz")
+    integrated = log.scans - sum(log.dropped.values())
+    for mapper, replay in zip(mappers, replays, strict=True):
+        ended = replay.wait()
+        assert (ended.code, ended.err) == (0, "")
+        assert f"{log.scans} scans sent, {integrated} integrated" in ended.out
+        for reason, count in log.dropped.items():
+            assert f"{count} dropped: {reason}" in ended.out
+        assert_equal_maps(mapper.map(), expected)
+        status = mapper.status()
+        assert {reason: n for reason, n in status["scans"]["dropped"].items() if n} == log.dropped
+        assert (status["scans"]["received"], status["poses"]["late"]) == (log.scans, log.late)
+        assert (status["revision"], status["scans"]["pending"]) == (integrated, 0)
+
+
+def test_a_log_replayed_twice_is_mapped_twice(ogm, lab_log, assert_equal_maps):
+    twice = lab_log.path.read_text()
+    ogm.file("twice.jsonl", twice + twice.replace('"run":"seed-1"', '"run":"again"'))
+    build = ogm.start("build", "twice.jsonl", "--out", "built")
+    mapper = ogm.ready(ogm.mapper())
+    for count in (220, 440):
+        assert replayed(ogm, lab_log, mapper).wait().code == 0
+        assert mapper.status()["revision"] == count
+    assert build.wait().code == 0
+    assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
+
+
+def test_a_log_is_replayed_at_its_own_pace(ogm, lab_log, assert_equal_maps):
+    starting, build = ogm.mapper(), built(ogm, lab_log)
+    mapper = ogm.ready(starting)
+    for count, speed in ((220, 50), (440, 5)):
+        ended = replayed(ogm, lab_log, mapper, "--speed", speed).wait()
+        assert (ended.code, ended.err) == (0, "")
+        assert ended.seconds > LAP / speed
+        assert mapper.status()["revision"] == count
+        if count == 220:
+            assert build.wait().code == 0
+            assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
+
+
+def test_malformed_lines_are_reported(ogm, lab_log):
+    lines = lab_log.path.read_text().splitlines()
+    ogm.file(
+        "bad.jsonl", "\n".join([lines[0], "{", *lines[1:9], '{"type": "scan"}', *lines[9:20], "x" * 9999])
+    )
+    mapper = ogm.ready(ogm.mapper())
+    ended = ogm.run("replay", "bad.jsonl", "--connect", mapper.endpoint, "--speed", "max", "--robot", "r7")
+    assert (ended.code, ended.err) == (0, "")
+    assert "10 scans sent, 10 integrated, 3 malformed lines passed over (line 2: not JSON" in ended.out
+    assert "line 11: robot: missing" in ended.out
+    assert len(ended.out) < 1000
+    status = mapper.status()
+    assert status["scans"]["received"] == status["revision"] == 10
+    assert status["robots"].keys() == {"r7"}
+
+
+def test_a_bad_log_is_bad_input_and_nothing_is_sent(ogm, lab_log, idle_mapper):
+    packed = gzip.compress(lab_log.path.read_bytes())
+    (ogm.folder / "cut.jsonl.gz").write_bytes(packed[: len(packed) // 2])
+    ogm.file("poses.jsonl", lab_log.path.read_text().splitlines()[0])
+    ogm.file("empty.jsonl", "")
+    logs = ["missing.jsonl", "cut.jsonl.gz", "poses.jsonl", "empty.jsonl"]
+    replays = [ogm.start("replay", name, "--connect", idle_mapper.endpoint) for name in logs]
+    for name, replay in zip(logs, replays, strict=True):
+        assert name in replay.wait().complaint(2)
+    assert idle_mapper.status()["poses"]["received"] == idle_mapper.status()["scans"]["received"] == 0
+
+
+def test_without_a_mapper_it_says_what_to_check(ogm, lab_log, idle_mapper, endpoint):
+    nobody = ogm.start("replay", lab_log.path, "--connect", endpoint)
+    other_map = ogm.start("replay", lab_log.path, "--connect", idle_mapper.endpoint, "--map", "hall")
+    complaint = nobody.wait().complaint(1)
+    assert endpoint in complaint
+    assert "ogm mapper" in complaint
+    assert "no mapper of map 'hall'" in other_map.wait().complaint(1)
+    assert idle_mapper.status()["poses"]["received"] == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_mapper_that_goes_midway_is_a_failure(ogm, lab_log, eventually, number):
+    mapper = ogm.ready(ogm.mapper())
+    replay = replayed(ogm, lab_log, mapper, "--speed", "2")
+    eventually(lambda: mapper.status()["revision"] > 10, 20)
+    mapper.command.stop(number)
+    assert "no mapper of map 'default' answered" in replay.wait(5.0).complaint(1)
+
+
+def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
+    # Each scan keeps the worker busy for far longer than the next one takes to arrive.
+    scan = {
+        "type": "scan", "robot": "r1", "sensor": "s", "run": "a", "angle_min": 0.0, "angle_increment": 3e-4,
+        "range_min": 0.0, "range_max": 200.0, "ranges": [100.0] * 20_000, "pose": [0.0, 0.0, 0.0],
+    }  # fmt: skip
+    ogm.file("big.jsonl", "\n".join(json.dumps({**scan, "stamp": k, "seq": k}) for k in range(20)))
+    mapper = ogm.ready(ogm.mapper(OGM_MAPPER__QUEUE="1"))
+    ended = ogm.run("replay", "big.jsonl", "--connect", mapper.endpoint, "--speed", "max")
+    scans = mapper.status()["scans"]
+    assert scans["dropped"]["overload"] > 0
+    assert scans["integrated"] + scans["dropped"]["overload"] == scans["received"] == 20
+    complaint = (
+        f"20 scans sent, {scans['integrated']} integrated, {scans['dropped']['overload']} dropped: overload"
+    )
+    assert ended.complaint(1) == f"ogm: {complaint}\n"
+
+
+def test_an_interrupted_replay_is_not_a_success(ogm, lab_log, eventually):
+    mapper = ogm.ready(ogm.mapper())
+    replay = replayed(ogm, lab_log, mapper, "--speed", "1")
+    eventually(lambda: mapper.status()["revision"] > 0, 20)
+    ended = replay.stop(signal.SIGINT)
+    assert (ended.code, ended.out, ended.err) == (130, "", "")

@@ -1,0 +1,213 @@
+"""The services by hand, each a process of its own: started, asked, killed, restarted, stopped."""
+
+import json
+import signal
+import socket
+import time
+from contextlib import ExitStack
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+STOPS = [signal.SIGTERM, signal.SIGINT]
+
+
+@pytest.fixture
+def mapper(ogm):
+    return ogm.ready(ogm.mapper())
+
+
+def simulator(ogm, mapper, *flags):
+    return ogm.start("simulate", "--connect", mapper.endpoint, *flags)
+
+
+def source(mapper):
+    """What the status says of the simulated robot's LiDAR; None before its first scan."""
+    return mapper.status()["robots"].get("robot1", {"sources": {}})["sources"].get("laser")
+
+
+def test_by_hand(ogm, mapper, eventually):
+    ended = simulator(ogm, mapper, "--scans", 20, "--robots", 2).wait()
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out == "robot1, robot2 in lab: 20 scans a second each\n"
+    eventually(lambda: mapper.status()["revision"] == 40)
+    asked = [ogm.start("status", "--json", "--url", url) for url in (mapper.url, mapper.endpoint)]
+    table = ogm.start("status", "--url", mapper.endpoint)
+    expected = mapper.status()
+    for command in asked:
+        assert command.wait().code == 0
+        assert json.loads(command.wait().out) == {
+            **expected,
+            "uptime_s": pytest.approx(expected["uptime_s"], abs=10),
+        }
+    assert expected["robots"].keys() == {"robot1", "robot2"}
+    assert "40 received, 40 integrated, 0 pending" in table.wait().out
+
+
+def test_get(ogm, mapper, lab_recording, assert_equal_maps):
+    assert ogm.run("replay", lab_recording, "--speed", "max", "--connect", mapper.endpoint).code == 0
+    wanted = [
+        ("map.png", "map.png", mapper.endpoint),
+        ("map.npz", "map.npz", mapper.url),
+        ("map.json?region=-1,-1,1,1", "map.json", mapper.endpoint),
+        ("map.yaml", "X.yaml", mapper.endpoint),
+        ("map.yaml", "Y.yaml", mapper.url),
+    ]
+    getting = [ogm.start("get", name, "-o", out, "--url", url) for name, out, url in wanted]
+    printed = ogm.start("get", "status", "-o", "-", "--url", mapper.url)
+    refused = ogm.start("get", "map.png?region=1,1,0,0", "-o", "no.png", "--url", mapper.endpoint)
+    for get in getting:
+        assert (get.wait().code, get.wait().out, get.wait().err) == (0, "", "")
+    assert (ogm.folder / "map.png").read_bytes() == mapper.get("map.png")
+    assert (ogm.folder / "map.json").read_bytes() == mapper.get("map.json?region=-1,-1,1,1")
+    assert_equal_maps(ogm.map("map.npz"), mapper.map())
+    for name in "XY":
+        fields = yaml.safe_load((ogm.folder / f"{name}.yaml").read_text())
+        assert fields["image"] == f"{name}.pgm"
+        assert fields["origin"][:2] == mapper.map()["origin"].tolist()
+        with Image.open(ogm.folder / f"{name}.pgm") as pgm, Image.open(ogm.folder / "map.png") as png:
+            assert np.array_equal(np.asarray(pgm), np.asarray(png))
+    assert json.loads(printed.wait().out)["revision"] == 220
+    assert "region" in refused.wait().complaint(2)
+    assert not (ogm.folder / "no.png").exists()
+
+
+def test_a_killed_simulator_starts_again_and_is_mapped(ogm, mapper, eventually):
+    first = simulator(ogm, mapper)
+    eventually(lambda: mapper.status()["revision"] > 10, 20)
+    first.stop(signal.SIGKILL)
+    before = eventually(lambda: (book := source(mapper))["pending"] == 0 and book)
+    second = simulator(ogm, mapper)
+    after = eventually(
+        lambda: (book := source(mapper))["run"] != before["run"] and book["last_seq"] > 10 and book, 20
+    )
+    assert second.stop().code == 0
+    assert after["run"]
+    assert after["integrated"] - before["integrated"] > 10
+    status = mapper.status()
+    assert status["revision"] >= after["integrated"]
+    assert sum(status["scans"]["dropped"].values()) == status["poses"]["late"] == 0
+
+
+def test_a_simulator_outlives_its_mapper(ogm, mapper, eventually):
+    robot = simulator(ogm, mapper)
+    eventually(lambda: mapper.status()["revision"] > 3, 20)
+    mapper.command.stop(signal.SIGKILL)
+    again = ogm.ready(ogm.start("mapper", "--http-port", "0", "--listen", mapper.endpoint))
+    eventually(lambda: again.status()["revision"] > 3, 20)
+    ended = robot.stop()
+    assert (ended.code, ended.err) == (0, "")
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_services_stop_while_scans_stream_and_clients_hang_on(ogm, mapper, eventually, number):
+    robot = simulator(ogm, mapper, "--rate", "100", "--robots", "3")
+    eventually(lambda: mapper.status()["revision"] > 50, 20)
+    address = urlsplit(mapper.url)
+    with ExitStack() as open_sockets:
+        clients = [
+            open_sockets.enter_context(socket.create_connection((address.hostname, address.port)))
+            for _ in range(4)
+        ]
+        idle, asking, half, _silent = clients
+        for client in (idle, asking):
+            client.sendall(b"GET /status HTTP/1.1\r\nHost: here\r\n\r\n")
+        assert idle.recv(100).startswith(b"HTTP/1.1 200 OK")  # and keeps the connection
+        asking.sendall(b"GET /map.json HTTP/1.1\r\nHost: here\r\n\r\n" * 40)  # and never reads on
+        half.sendall(b"POST /reset HTTP/1.1\r\nHost: here\r\nContent-Length: 5\r\n\r\n")
+        ended = mapper.command.stop(number)
+        assert ended.code == 0, ended
+    ended = robot.stop(number)
+    assert (ended.code, ended.err) == (0, "")
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_more_signals_change_nothing(ogm, mapper, eventually, number):
+    robot = simulator(ogm, mapper)
+    eventually(lambda: mapper.status()["revision"] > 3, 20)
+    for service in (robot, mapper.command):
+        while service.process.poll() is None:
+            service.process.send_signal(number)
+            time.sleep(0.02)
+        assert (service.wait().code, service.wait().err) == (0, "")
+
+
+def test_two_mappers_of_one_map_or_port_are_one_too_many(ogm, idle_mapper):
+    http_port = urlsplit(idle_mapper.url).port
+    starting = {
+        f"--http-port {http_port}: ": ogm.start(
+            "mapper", "--http-port", http_port, "--listen", "tcp/127.0.0.1:0"
+        ),
+        f"cannot listen on {idle_mapper.endpoint}: ": ogm.start(
+            "mapper", "--http-port", 0, "--listen", idle_mapper.endpoint
+        ),
+        "another mapper of map 'default' is alive": ogm.start(
+            "mapper", "--http-port", 0, "--connect", idle_mapper.endpoint, "--out", "out"
+        ),
+    }
+    for text, command in starting.items():
+        assert text in command.wait().complaint(1)
+    assert not (ogm.folder / "out").exists()
+    hall = ogm.ready(
+        ogm.start("mapper", "--http-port", 0, "--connect", idle_mapper.endpoint, "--map", "hall")
+    )
+    assert (hall.status()["map"], idle_mapper.status()["map"]) == ("hall", "default")
+
+
+def test_without_a_mapper_every_command_says_what_to_check(ogm, endpoint):
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{unused.getsockname()[1]}"
+        commands = {
+            ogm.start("get", "map.png", "-o", "map.png", "--url", endpoint): endpoint,
+            ogm.start("get", "map.png", "-o", "map.png", "--url", url): url,
+            ogm.start("status", "--url", endpoint): endpoint,
+            ogm.start("status", "--url", url): url,
+            ogm.start("simulate", "--connect", endpoint): endpoint,
+        }
+        for command, address in commands.items():
+            complaint = command.wait(10.0).complaint(1)
+            assert address in complaint
+            assert "mapper` running there" in complaint or "is a mapper running there" in complaint
+    assert not (ogm.folder / "map.png").exists()
+
+
+def test_a_wrong_map_name_is_named(ogm, idle_mapper):
+    status = ogm.start("status", "--url", idle_mapper.endpoint, "--map", "hall")
+    get = ogm.start("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint, "--map", "hall")
+    for command in (status, get):
+        assert "no mapper of map 'hall' answered" in command.wait().complaint(1)
+        assert "--map hall" in command.wait().err
+
+
+def test_an_empty_map_has_no_picture(ogm, idle_mapper):
+    complaint = ogm.run("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint).complaint(1)
+    assert "the map has no known cell yet" in complaint
+
+
+def test_unknown_settings_are_named(ogm):
+    ogm.file("ogm.yaml", "map: {resolutoin: 0.1}\n")
+    commands = {
+        "OGM_MAPPER__QUEU: unknown setting": ogm.mapper(OGM_MAPPER__QUEU="1"),
+        "ogm.yaml: map.resolutoin: unknown setting": ogm.mapper("--config", "ogm.yaml"),
+        "OGM_HTTP__PORT": ogm.start("demo", OGM_HTTP__PORT="70000"),
+        "OGM_NETWORK__NAME: unknown": ogm.start("simulate", OGM_NETWORK__NAME="x"),
+    }
+    for text, command in commands.items():
+        assert text in command.wait().complaint(2)
+
+
+def test_a_stopped_mapper_writes_its_map_if_there_is_one(ogm, lab_recording, assert_equal_maps):
+    mappers = [ogm.ready(command) for command in [ogm.mapper("--out", "full"), ogm.mapper("--out", "empty")]]
+    endpoint = mappers[0].endpoint
+    assert ogm.run("replay", lab_recording, "--speed", "max", "--connect", endpoint).code == 0
+    served = mappers[0].map()
+    assert mappers[0].command.stop().code == 0
+    assert_equal_maps(ogm.map("full/map.npz"), served)
+    ended = mappers[1].command.stop()
+    assert (ended.code, ended.err.count("\n")) == (1, 1)
+    assert "no known cell" in ended.err
+    assert not (ogm.folder / "empty").exists()

@@ -1,0 +1,218 @@
+"""What the mapper answers, without a network: names and parameters in, bytes out, some of them kept."""
+
+import io
+import json
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from ogm_core.errors import BadParameter, MapEmpty
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Region
+from ogm_core.logodds import LogOdds
+from ogm_core.types import Pose, Scan
+from ogm_services.mapper import answers as answers_module
+from ogm_services.mapper.answers import MAP_FORMATS, Answers, UnknownName
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.live_map import LiveMap
+
+HERE = Pose(0.25, 0.25, 0.0)
+HIT = math.log(0.7 / 0.3)
+
+
+class Desk:
+    """Answers about a map, and a count of how often each format was encoded."""
+
+    def __init__(self, monkeypatch, settings):
+        self.live = LiveMap(OccupancyGrid(settings, "epoch"))
+        self.ledger = Ledger()
+        self.answers = Answers("hall", self.live, self.ledger)
+        self.encoded = []
+        for name in ("json", "npz", "png", "pgm", "yaml"):
+            self._count(monkeypatch, name)
+
+    def _count(self, monkeypatch, name):
+        encode = getattr(answers_module, f"encode_{name}")
+
+        def counted(*arguments):
+            self.encoded.append(name)
+            return encode(*arguments)
+
+        monkeypatch.setattr(answers_module, f"encode_{name}", counted)
+
+    def scan(self, *ranges, pose=HERE, stamp=0):
+        """Integrate beams to the east, north, west and south."""
+        self.live.integrate(Scan(stamp, 0.0, math.pi / 2, 0.0, 8.0, np.array(ranges, np.float32)), pose)
+
+    def cell(self, x, y):
+        return json.loads(self.answers.cell({"x": x, "y": y}).body)
+
+
+@pytest.fixture
+def desk(monkeypatch):
+    return Desk(monkeypatch, GridSettings(resolution=0.5))
+
+
+@pytest.mark.parametrize("form", MAP_FORMATS)
+def test_an_answer_is_kept_until_a_scan_comes(desk, form):
+    desk.scan(2.0)
+    first = desk.answers.map(form, {})
+    assert desk.answers.map(form, {}) is first
+    assert desk.encoded == [form]
+    desk.scan(2.0)
+    second = desk.answers.map(form, {})
+    assert second is not first
+    assert (first.etag, second.etag) == ('"epoch-1"', '"epoch-2"')
+    assert (second.meta["revision"], desk.encoded) == (2, [form, form])
+
+
+def test_a_reset_is_a_new_answer_even_at_an_old_revision(desk):
+    first = desk.answers.map("json", {})
+    desk.live.reset("other")
+    second = desk.answers.map("json", {})
+    assert (first.etag, second.etag) == ('"epoch-0"', '"other-0"')
+    assert json.loads(second.body)["epoch"] == "other"
+
+
+def test_an_answer_is_kept_by_its_format_and_parameters_in_any_order(desk):
+    desk.scan(2.0)
+    region = {"region": "0,0,1,1"}
+    first = desk.answers.map("png", {"palette": "ros", **region})
+    assert desk.answers.map("png", {**region, "palette": "ros"}) is first
+    others = [
+        ("png", region),
+        ("png", {"palette": "probability", **region}),
+        ("pgm", region),
+        ("json", region),
+    ]
+    others += [("png", {"palette": "ros", "region": "0,0,1,1.0"})]
+    for form, given in others:
+        assert desk.answers.map(form, given) is not first
+    assert len(desk.encoded) == 6
+    assert desk.answers.map("png", {"palette": "ros", **region}) is first
+
+
+def test_what_is_kept_is_bounded(desk, monkeypatch):
+    desk.scan(2.0)
+    size = len(desk.answers.map("json", {}).body)
+    monkeypatch.setattr(answers_module, "CACHE_BYTES", 3 * size)
+    asked = [{"region": f"0,0,{9 + n},1"} for n in range(20)]
+    bodies = [desk.answers.map("json", given).body for given in asked]
+    kept = desk.answers._cache._answers.values()
+    assert sum(len(answer.body) for answer in kept) <= 3 * size
+    assert len(set(bodies)) == 1
+    monkeypatch.setattr(answers_module, "CACHE_BYTES", size - 1)
+    assert desk.answers.map("json", {}).body == desk.answers.map("json", {"region": "0,0,99,1"}).body
+
+
+def test_an_error_is_not_kept(desk):
+    for _ in range(2):
+        with pytest.raises(MapEmpty):
+            desk.answers.map("png", {})
+    desk.scan(2.0)
+    assert desk.answers.map("png", {}).body.startswith(b"\x89PNG")
+
+
+def test_what_else_is_answered_has_no_validator(desk):
+    for answer in (
+        desk.answers.status({}),
+        desk.answers.quality({}),
+        desk.answers.cell({"x": "0", "y": "0"}),
+    ):
+        assert (answer.etag, answer.meta, answer.media_type) == (None, None, "application/json")
+
+
+@pytest.mark.parametrize("form", ["", "PNG", "jpeg", "png "])
+def test_an_unknown_format_is_told_with_those_there_are(desk, form):
+    with pytest.raises(UnknownName, match="png, json, pgm, yaml, npz"):
+        desk.answers.map(form, {})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"regoin": "0,0,1,1"}, "regoin: unknown parameter; there are: max_size, palette, region"),
+        ({"region": "0,0,1"}, "region: xmin,ymin,xmax,ymax is needed, got '0,0,1'"),
+        ({"region": "0,0,1,x"}, "region: a number is needed, got 'x'"),
+        ({"region": "7,7,8,8"}, "lies wholly outside the map, x 0.5 to 2.5, y 0 to 0.5 m"),
+        ({"max_size": "0"}, "max_size: a number of pixels, 1 or more, is needed, got '0'"),
+        ({"palette": "grey"}, "palette: one of ros, probability is needed, got 'grey'"),
+    ],
+)
+def test_a_bad_parameter_is_told_with_what_to_do(desk, given, message):
+    desk.scan(2.0)
+    with pytest.raises(BadParameter) as error:
+        desk.answers.map("png", given)
+    assert message in str(error.value)
+
+
+def test_cells(desk):
+    desk.scan(2.0)
+    known = desk.cell("2.0", "0.0")
+    assert (known["ix"], known["iy"], known["known"]) == (4, 0, True)
+    assert known["log_odds"] == pytest.approx(HIT, abs=3e-4)
+    assert known["probability"] == pytest.approx(0.7, abs=1e-4)
+    assert desk.cell("1.999", "0.499")["probability"] == pytest.approx(0.3, abs=1e-4)
+    for x, y in (("0.25", "0.25"), ("2.5", "0.25"), ("2.0", "0.5"), ("2.0", "-1e-9"), ("-1e15", "1e15")):
+        unknown = desk.cell(x, y)
+        assert (unknown["known"], unknown["log_odds"], unknown["probability"]) == (False, None, None)
+        assert (unknown["x"], unknown["ix"]) == (float(x), math.floor(float(x) / 0.5))
+
+
+def test_a_cell_that_is_back_at_the_prior_is_known(desk):
+    desk.scan(2.0)
+    desk.scan(2.5)
+    cell = desk.cell("2.0", "0")
+    assert (cell["known"], cell["log_odds"], cell["probability"]) == (True, 0.0, 0.5)
+    assert json.loads(desk.answers.map("json", {"values": "percent"}).body)["data"] == [16, 16, 16, 50, 70]
+
+
+def test_a_float64_map_with_bounds(monkeypatch):
+    settings = GridSettings(
+        resolution=0.5, model=LogOdds(cells="float64"), bounds=Region(-1.0, -2.0, 5.0, 2.0), outside="drop"
+    )
+    desk = Desk(monkeypatch, settings)
+    desk.scan(2.0)
+    cell = desk.cell("2.2", "0.2")
+    assert (cell["ix"], cell["iy"], cell["log_odds"]) == (6, 4, settings.model.d_occ)
+    with np.load(io.BytesIO(desk.answers.map("npz", {}).body)) as npz:
+        log_odds = npz["log_odds"]
+        assert (log_odds.dtype, log_odds.shape) == (np.float64, (8, 12))
+        assert npz["anchor"].tolist() == npz["origin"].tolist() == [-1.0, -2.0]
+    assert log_odds[4, 6] == cell["log_odds"]
+    assert np.count_nonzero(~np.isnan(log_odds)) == 4
+
+
+def test_status_is_of_the_map_and_the_books(desk):
+    desk.ledger.pose_received("r")
+    desk.ledger.scan_received("r", "s")
+    desk.scan(2.0, stamp=7)
+    desk.ledger.scan_integrated("r", "s")
+    status = json.loads(desk.answers.status({}).body)
+    assert (status["map"], status["epoch"], status["revision"], status["stamp"]) == ("hall", "epoch", 1, 7)
+    books = desk.ledger.status()
+    assert {name: status[name] for name in books} == books
+    assert status["map_info"] == desk.live.info()
+
+
+def test_answers_to_many_threads_are_those_to_one(desk):
+    desk.scan(2.0, 1.0, 1.5, 0.5)
+    asked = [(form, {"region": f"-{n},-9,9,9"}) for form in MAP_FORMATS for n in range(1, 5)]
+    alone = {repr(each): desk.answers.map(*each).body for each in asked}
+    wrong = []
+
+    def ask(order):
+        for each in order * 5:
+            answer = desk.answers.map(*each)
+            if answer.body != alone[repr(each)] or answer.etag != '"epoch-1"':
+                wrong.append(each)
+
+    threads = [threading.Thread(target=ask, args=(asked[n:] + asked[:n],)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20.0)
+    assert wrong == []

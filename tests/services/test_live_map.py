@@ -1,0 +1,225 @@
+"""The map while it is written: snapshots are whole and shared, figures are computed rarely."""
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ogm_core.errors import LimitReached
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Region
+from ogm_core.logodds import LogOdds
+from ogm_core.quality import map_figures
+from ogm_core.types import Pose, Scan
+from ogm_services.mapper import live_map as live_map_module
+from ogm_services.mapper.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
+
+HERE = Pose(0.25, 0.25, 0.0)
+SETTINGS = GridSettings(resolution=0.5)
+MADE = [
+    SETTINGS,
+    GridSettings(resolution=0.5, model=LogOdds(cells="float64")),
+    GridSettings(resolution=0.5, bounds=Region(-9.0, -9.0, 99.0, 9.0)),
+]
+
+
+def scan(distance=2.0, stamp=0):
+    """One beam to the east."""
+    return Scan(stamp, 0.0, 0.1, 0.0, 8.0, np.array([distance], np.float32))
+
+
+@pytest.fixture
+def live():
+    return LiveMap(OccupancyGrid(SETTINGS, "first"))
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock that a live map reads: `clock.now`, s."""
+    clock = SimpleNamespace(now=1000.0)
+    monkeypatch.setattr(live_map_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    return clock
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How often the figures of a whole map are computed: a list of their revisions."""
+    revisions = []
+
+    def count(snapshot):
+        revisions.append(snapshot.revision)
+        return map_figures(snapshot)
+
+    monkeypatch.setattr(live_map_module, "map_figures", count)
+    return revisions
+
+
+def test_a_snapshot_is_the_same_object_until_the_map_changes(live):
+    empty = live.snapshot()
+    assert live.snapshot() is empty
+    live.integrate(scan(), HERE)
+    first = live.snapshot()
+    assert live.snapshot() is first is not empty
+    assert (empty.revision, empty.width, first.revision, first.width) == (0, 0, 1, 4)
+    live.reset("second")
+    assert (live.snapshot().epoch, live.snapshot().revision, live.snapshot().width) == ("second", 0, 0)
+
+
+def test_a_snapshot_does_not_change_when_the_map_does(live):
+    live.integrate(scan(), HERE)
+    first = live.snapshot()
+    cells = first.cells.copy()
+    live.integrate(scan(), HERE)
+    live.integrate(scan(7.0), HERE)
+    live.reset("second")
+    np.testing.assert_array_equal(first.cells, cells)
+    assert (first.epoch, first.revision) == ("first", 1)
+
+
+def test_the_map_is_its_grid(live):
+    twin = OccupancyGrid(SETTINGS, "first")
+    for stamp in (5, 9, 7):
+        assert live.integrate(scan(1 + stamp / 4, stamp), HERE) == twin.integrate(
+            scan(1 + stamp / 4, stamp), HERE
+        )
+    assert live.snapshot().cells.tobytes() == twin.snapshot().cells.tobytes()
+    assert live.identity() == {"epoch": "first", "revision": 3, "stamp": 9}
+    assert {k: v for k, v in live.info().items() if k != "known_cells"} == {
+        "bytes": twin.nbytes,
+        "width": twin.rect.width,
+        "height": 1,
+        "resolution": 0.5,
+    }
+
+
+def test_a_scan_that_is_refused_leaves_everything_as_it_was(live):
+    live.integrate(scan(), HERE)
+    before, identity, quality = live.snapshot(), live.identity(), live.quality()
+    with pytest.raises(LimitReached):
+        live.integrate(scan(), Pose(1e9, 1e9, 0.0))
+    assert live.snapshot() is before
+    assert live.identity() == identity
+    assert live.quality() is quality
+
+
+def test_a_system_without_memory_is_a_limit(live, monkeypatch):
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(live._grid, "integrate", fail)
+    with pytest.raises(LimitReached, match="no memory"):
+        live.integrate(scan(), HERE)
+    assert live.snapshot().revision == 0
+
+
+def test_quality_is_computed_at_most_once_a_second(live, clock, counted):
+    assert FIGURES_PERIOD == 1.0
+    first = live.quality()
+    assert (first["scans"], counted) == (0, [0])
+    live.integrate(scan(), HERE)
+    clock.now += 0.999
+    assert live.quality() is first
+    clock.now += 0.001
+    second = live.quality()
+    assert (second["scans"], second["known_m2"], counted) == (1, 1.0, [0, 1])
+    live.integrate(scan(), HERE)
+    assert live.quality() is second
+    clock.now += 0.5
+    assert live.quality() is second
+    clock.now += 0.5
+    assert (live.quality()["scans"], counted) == (2, [0, 1, 2])
+
+
+def test_quality_of_a_map_that_does_not_change_is_computed_once(live, clock, counted):
+    live.integrate(scan(), HERE)
+    for _ in range(5):
+        live.quality()
+        clock.now += 60.0
+    assert counted == [1]
+    live.reset("second")
+    assert live.quality()["scans"] == 0
+    assert counted == [1, 0]
+
+
+def test_known_cells_may_be_a_second_old_and_the_size_is_not(live, clock):
+    assert (live.info()["known_cells"], live.info()["width"]) == (0, 0)
+    live.integrate(scan(), HERE)
+    assert (live.info()["known_cells"], live.info()["width"]) == (0, 4)
+    clock.now += 1.0
+    assert live.info()["known_cells"] == 4
+    live.integrate(scan(3.0), HERE)
+    assert live.quality()["known_m2"] == 6 * 0.25  # each figure has a second of its own
+    assert live.info()["known_cells"] == 4
+
+
+def test_quality_is_that_of_the_map_and_of_its_scans(live):
+    live.integrate(scan(2.0), HERE)
+    live.integrate(scan(1.0), HERE)
+    quality = live.quality()
+    # Cells 1 to 4: free twice; free and then hit, back at a half; free; hit.
+    expected = map_figures(live.snapshot()) | {"consistency": {}, "scans": 2, "cell_updates": 6}
+    assert {**quality, "consistency": {}} == expected
+    assert (quality["known_m2"], quality["free_m2"], quality["occupied_m2"]) == (1.0, 0.25, 0.25)
+    # One of two hits ended, and one of four passes went through, where p is a half.
+    assert quality["consistency"] == {"hits": 0.5, "free": 0.75}
+
+
+def test_consistency_is_that_of_the_last_hundred_scans(live, clock):
+    assert RECENT_SCANS == 100
+    live.integrate(scan(1.0), Pose(0.25, 9.25, 0.0))  # a wall elsewhere ...
+    for _ in range(9):
+        live.integrate(scan(2.0), Pose(0.25, 9.25, 0.0))  # ... that is gone
+    for _ in range(90):
+        live.integrate(scan(), HERE)
+    # The wall that is gone is the only hit in a cell that is not occupied.
+    assert live.quality()["consistency"] == {"hits": 0.99, "free": 1.0}
+    live.integrate(scan(), HERE)
+    clock.now += 1.0
+    assert live.quality()["consistency"] == {"hits": 1.0, "free": 1.0}
+    assert live.quality()["scans"] == 101
+    live.reset("second")
+    clock.now += 1.0
+    assert live.quality()["consistency"] == {"hits": None, "free": None}
+    live.integrate(scan(1.0), HERE)  # where the scans before the reset had passed
+    clock.now += 1.0
+    assert live.quality()["consistency"] == {"hits": 1.0, "free": 1.0}
+
+
+@pytest.mark.parametrize("settings", MADE, ids=["int16", "float64", "bounds"])
+def test_readers_get_whole_maps_while_it_is_written(settings):
+    steps = [(scan(1.0 + step % 7 / 2, step), Pose(step / 4, step % 3 / 2, step / 9)) for step in range(150)]
+    twin = OccupancyGrid(settings, "first")
+    maps = {0: twin.snapshot()}
+    for each in steps:
+        twin.integrate(*each)
+        maps[twin.revision] = twin.snapshot()
+    live, done, seen, wrong = LiveMap(OccupancyGrid(settings, "first")), threading.Event(), set(), []
+
+    def read():
+        last = 0
+        while not done.is_set():
+            snapshot = live.snapshot()
+            same = maps[snapshot.revision]
+            if snapshot.revision < last or snapshot.offset != same.offset or snapshot.stamp != same.stamp:
+                wrong.append(snapshot.revision)
+            if snapshot.cells.tobytes() != same.cells.tobytes():
+                wrong.append(snapshot.revision)
+            last = snapshot.revision
+            seen.add(last)
+            live.quality()
+
+    readers = [threading.Thread(target=read) for _ in range(3)]
+    for reader in readers:
+        reader.start()
+    for count, each in enumerate(steps):
+        live.integrate(*each)
+        if count % 10 == 9:
+            done.wait(0.005)
+    done.set()
+    for reader in readers:
+        reader.join(10.0)
+    assert wrong == []
+    assert len(seen) > 5
+    assert live.snapshot().cells.tobytes() == maps[150].cells.tobytes()

@@ -1,0 +1,165 @@
+"""A mapper's life: ready only when warm, reset, and what it says while it fails or stops."""
+
+import asyncio
+import socket
+import threading
+import time
+
+import httpx
+import pytest
+
+from ogm_core.errors import BadParameter
+from ogm_services.mapper import service as service_module
+from ogm_services.mapper.http_side import Health, build_app
+from ogm_services.mapper.service import CannotServe
+from ogm_services.mapper.worker import Unavailable
+
+
+class BrokenAnswers:
+    """Answers with a bug in one of them."""
+
+    def __getattr__(self, name):
+        def answer(*_):
+            raise ZeroDivisionError(f"a bug in {name}")
+
+        return answer
+
+
+def refuse():
+    raise Unavailable("busy")
+
+
+def ask(method, path, *, alive=True, ready=True, reset=refuse):
+    """Ask an application of broken answers, without a server."""
+    app = build_app(BrokenAnswers(), Health(alive=lambda: alive, ready=lambda: ready), reset)
+
+    async def send():
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://mapper") as client:
+            return await client.request(method, path)
+
+    return asyncio.run(send())
+
+
+def problem(response):
+    assert response.headers["content-type"] == "application/problem+json"
+    assert response.headers["cache-control"] == "no-store"
+    body = response.json()
+    assert (body["status"], body["title"]) == (response.status_code, response.reason_phrase)
+    return response.status_code, body["type"]
+
+
+@pytest.mark.parametrize(
+    ("alive", "ready", "livez", "readyz"),
+    [(True, True, 200, 200), (True, False, 200, 503), (False, True, 503, 503), (False, False, 503, 503)],
+)
+def test_probes(alive, ready, livez, readyz):
+    health = {"alive": alive, "ready": ready}
+    assert ask("GET", "/livez", **health).status_code == livez
+    assert ask("GET", "/readyz", **health).status_code == readyz
+    assert ask("HEAD", "/readyz", **health).status_code == readyz
+    assert ask("GET", "/readyz", **health).headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize("path", ["/map.png", "/status", "/metrics"])
+def test_a_bug_is_logged_and_told_without_its_innards(caplog, path):
+    response = ask("GET", path)
+    assert problem(response) == (500, "internal")
+    assert "bug" not in response.text
+    (record,) = caplog.records
+    assert (record.levelname, record.exc_info[0]) == ("ERROR", ZeroDivisionError)
+
+
+def test_a_reset_that_cannot_be_done_is_told():
+    def refuse_parameter():
+        raise BadParameter("no")
+
+    assert problem(ask("POST", "/reset")) == (503, "unavailable")
+    assert problem(ask("POST", "/reset", reset=refuse_parameter)) == (400, "bad-parameter")
+
+
+def test_it_is_ready_only_when_every_kernel_is_warm(start_mapper, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    seen, warm_up = [], service_module.warm_up
+
+    def look_and_warm_up(settings):
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=5.0) as http:
+            seen.extend(http.get(path).status_code for path in ("/livez", "/readyz", "/status"))
+        warm_up(settings)
+
+    monkeypatch.setattr(service_module, "warm_up", look_and_warm_up)
+    with start_mapper(http={"port": port}) as mapper:
+        assert seen == [200, 503, 200]
+        assert mapper.http.get("/readyz").status_code == 200
+        assert mapper.http.base_url.port == port
+
+
+def test_a_taken_http_port_is_said_with_its_flag(cross, start_mapper):
+    taken = cross.http.base_url.port
+    with pytest.raises(CannotServe, match=f"--http-port {taken}"), start_mapper(http={"port": taken}):
+        pass
+
+
+def test_a_worker_that_has_ended_is_not_alive(mapper):
+    assert mapper.http.get("/livez").text == "ok"
+    mapper.service._worker.stop()
+    assert mapper.http.get("/livez").status_code == 503
+    assert mapper.http.get("/readyz").status_code == 503
+    assert problem(mapper.http.post("/reset")) == (503, "unavailable")
+    assert mapper.problem("reset")["type"] == "unavailable"
+    assert mapper.status()["revision"] == 0
+
+
+def test_a_command_that_fails_is_told_to_its_caller_and_harms_nobody_else(mapper, caplog):
+    def fail():
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        mapper.service._worker.do(fail)
+    assert mapper.draw_cross()["revision"] == 3
+    assert [record.getMessage() for record in caplog.records] == ["a command failed"]
+    caplog.clear()
+
+
+def test_a_reset_that_waits_does_not_hold_up_the_end(start_mapper, in_background, eventually):
+    release = threading.Event()
+    with start_mapper() as mapper:
+        in_background(mapper.service._worker.do, release.wait)
+        replies = [in_background(mapper.http.post, "/reset"), in_background(mapper.ask, "reset")]
+        eventually(lambda: len(mapper.service._inbox._items) == 2)
+        threading.Timer(0.2, release.set).start()
+        started = time.monotonic()
+        mapper.service.__exit__(None, None, None)
+        assert time.monotonic() - started < 4.0
+        assert replies[0].result(5.0).status_code == 503
+        assert replies[1].result(5.0)[0].err is not None
+
+
+def test_reset_begins_a_new_epoch_and_keeps_the_books(mapper):
+    mapper.draw_cross()
+    mapper.scan([1.0], pose=[0, 0, 0], run="a", seq=7)
+    before = mapper.settle(received=4)
+    assert problem(mapper.http.post("/reset?map=hall")) == (400, "bad-parameter")
+    assert mapper.status()["epoch"] == before["epoch"]
+    after = mapper.http.post("/reset").raise_for_status().json()
+    assert after["epoch"] != before["epoch"]
+    assert (after["revision"], after["stamp"]) == (0, None)
+    assert (after["map_info"]["width"], after["map_info"]["bytes"]) == (0, 0)
+    for kept in ("scans", "poses", "other", "robots"):
+        assert after[kept] == before[kept]
+    assert problem(mapper.http.get("/map.png")) == (404, "map-empty")
+    mapper.scan([1.0], pose=[0, 0, 0], run="a", seq=7)
+    assert mapper.settle(received=5)["scans"]["dropped"]["duplicate"] == 1
+    mapper.scan([1.0], pose=[0, 0, 0], run="a", seq=8, at=-9)
+    again = mapper.settle(received=6)
+    assert (again["revision"], again["stamp"]) == (1, 1_700_000_000_000_000_000 - 9)
+    assert mapper.http.get("/map.json").headers["etag"] == f'"{after["epoch"]}-1"'
+
+
+def test_poses_outlive_a_reset(mapper):
+    mapper.pose(at=0)
+    mapper.pose(at=100)
+    mapper.http.post("/reset").raise_for_status()
+    mapper.scan([1.0], at=50)
+    assert mapper.settle(received=1)["scans"]["integrated"] == 1

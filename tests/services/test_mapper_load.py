@@ -1,0 +1,204 @@
+"""The mapper under load: many readers while it writes, and more scans than it can take."""
+
+import io
+import json
+import math
+import threading
+
+import httpx
+import msgpack
+import numpy as np
+import pytest
+from PIL import Image
+
+from ogm_client.session import NetworkConfig, open_session
+from ogm_core.logodds import LogOdds
+
+STREAMED = 1.2
+"""How long readers and writer run side by side, s."""
+ENOUGH = 10
+"""What a reader must have got to have seen anything."""
+
+
+def expected(revision):
+    """Percents of the row that `stream` draws, after so many scans of one epoch, wherever it began."""
+    if not revision:
+        return []
+    model, cell = LogOdds(), np.arange(revision + 3)
+    hits = cell >= 3
+    frees = sum(((cell - j >= 0) & (cell - j < revision)).astype(int) for j in range(3))
+    steps = hits * round(model.d_occ / model.step) + frees * round(model.d_free / model.step)
+    return np.floor(100 / (1 + np.exp(-steps * model.step)) + 0.5).astype(int).tolist()
+
+
+class Reader:
+    """What one reader has seen: revisions only grow, and an epoch that is gone never comes back."""
+
+    def __init__(self):
+        self.seen = []
+
+    def note(self, epoch, revision):
+        if self.seen and self.seen[-1][0] == epoch:
+            assert revision >= self.seen[-1][1]
+        else:
+            assert epoch not in {seen for seen, _ in self.seen}
+        self.seen.append((epoch, revision))
+
+    def note_map(self, meta, data):
+        assert data == expected(meta["revision"])
+        assert meta["width"] * meta["height"] == len(data)
+        self.note(meta["epoch"], meta["revision"])
+
+
+def stream(mapper, stop):
+    """Put scans of a wall 2 m ahead, each from the middle of the next cell of 0.5 m."""
+    sent = 0
+    while not stop.wait(0.001):
+        mapper.scan([2.0], pose=[0.25 + 0.5 * sent, 0.25, 0.0], run="stream", seq=sent, at=sent)
+        sent += 1
+    return sent
+
+
+def read_json(mapper, stop):
+    reader, etag, not_modified = Reader(), "", 0
+    with httpx.Client(base_url=mapper.http.base_url) as http:
+        while not stop.is_set():
+            response = http.get("/map.json", headers={"If-None-Match": etag})
+            if response.status_code == 304:
+                assert response.headers["etag"] == etag
+                not_modified += 1
+                continue
+            body = response.raise_for_status().json()
+            assert response.headers["etag"] == f'"{body["epoch"]}-{body["revision"]}"' != etag
+            assert response.headers["ogm-revision"] == str(body["revision"])
+            assert response.headers["ogm-stamp"] == json.dumps(body["stamp"])
+            etag = response.headers["etag"]
+            reader.note_map(body, body["data"])
+    return reader
+
+
+def read_pictures(mapper, stop):
+    reader = Reader()
+    with httpx.Client(base_url=mapper.http.base_url) as http:
+        while not stop.is_set():
+            response = http.get("/map.png?palette=probability")
+            revision = int(response.headers.get("ogm-revision", 0))
+            if response.status_code == 404:  # just reset
+                assert response.json()["type"] == "map-empty"
+                continue
+            pixels = np.asarray(Image.open(io.BytesIO(response.content)))
+            np.testing.assert_allclose(pixels[0] / 2.55, expected(revision), atol=0.8)
+            reader.note(response.headers["ogm-epoch"], revision)
+    return reader
+
+
+def read_zenoh(mapper, stop):
+    reader = Reader()
+    with open_session(NetworkConfig(connect=(mapper.endpoint,))) as session:
+        while not stop.is_set():
+            (reply,) = session.get(f"{mapper.keys.root}/map", timeout=5.0)
+            body = json.loads(reply.ok.payload.to_bytes())
+            meta = msgpack.unpackb(reply.ok.attachment.to_bytes())
+            assert {name: body[name] for name in meta} == meta
+            reader.note_map(meta, body["data"])
+    return reader
+
+
+def read_books(mapper, stop):
+    reader, received = Reader(), 0
+    while not stop.is_set():
+        status = mapper.status()  # checks that received = integrated + pending + dropped
+        assert status["scans"]["received"] >= received
+        received = status["scans"]["received"]
+        reader.note(status["epoch"], status["revision"])
+        mapper.http.get("/quality").raise_for_status()
+        mapper.http.get("/metrics").raise_for_status()
+    return reader
+
+
+def test_readers_see_whole_maps_while_scans_stream_and_the_map_is_reset(mapper, in_background):
+    stop = threading.Event()
+    readers = [in_background(read, mapper, stop) for read in (read_json, read_pictures, read_zenoh)]
+    readers += [in_background(read, mapper, stop) for read in (read_json, read_zenoh, read_books)]
+    sent = in_background(stream, mapper, stop)
+    try:
+        for _ in range(3):
+            stop.wait(STREAMED / 4)
+            mapper.answer("reset")
+        stop.wait(STREAMED / 4)
+    finally:
+        stop.set()
+    for reader in readers:
+        seen = reader.result(10.0).seen
+        assert len(set(seen)) >= ENOUGH
+        assert len({epoch for epoch, _ in seen}) >= 3
+    status = mapper.settle(received=sent.result(10.0))
+    assert status["scans"]["integrated"] == status["scans"]["received"] > 100
+
+
+@pytest.fixture
+def blocked(start_mapper, no_errors, in_background):
+    """A mapper with room for 8 scans whose worker waits, and the event that lets it go on."""
+    release = threading.Event()
+    with start_mapper(map={"resolution": 0.5}, mapper={"queue": 8, "pose_wait": 0.2}) as mapper:
+        waits = threading.Event()
+        in_background(mapper.service._worker.do, lambda: waits.set() or release.wait(30.0))
+        assert waits.wait(5.0)
+        try:
+            yield mapper, release
+        finally:
+            release.set()
+
+
+def test_overload_takes_the_oldest_scans_of_the_fullest_source_and_no_pose(blocked, eventually):
+    mapper, release = blocked
+    for at in range(30):
+        mapper.pose(x=float(at), at=at, robot="a")
+        mapper.scan([1.0], at=at, robot="a", run="1", seq=at)
+        if at < 20:
+            mapper.pose(y=float(at), at=at, robot="b")
+            mapper.scan([1.0], at=at, robot="b", run="1", seq=at)
+    full = eventually(lambda: (status := mapper.status())["scans"]["received"] == 50 and status)
+    assert full["scans"]["dropped"]["overload"] == 42
+    assert (full["scans"]["pending"], full["scans"]["integrated"]) == (8, 0)
+    assert full["poses"]["received"] == 50
+    pending = {name: robot["sources"]["s"]["pending"] for name, robot in full["robots"].items()}
+    assert sum(pending.values()) == 8
+    assert min(pending.values()) >= 3
+    # It answers as ever, and nothing that waits is in the books as taken.
+    assert mapper.http.get("/map.json").json()["revision"] == 0
+    assert json.loads(mapper.answer("status").payload.to_bytes())["scans"] == full["scans"]
+    assert {robot["sources"]["s"]["last_seq"] for robot in full["robots"].values()} == {None}
+    release.set()
+    status = mapper.settle(received=50)
+    assert status["scans"]["integrated"] == 8  # every one of them had its pose
+    assert status["scans"]["dropped"] == full["scans"]["dropped"]
+    assert status["poses"] == {"received": 50, "malformed": 0, "late": 0}
+    robots = status["robots"]
+    assert robots["a"]["pose"] == [29.0, 0.0, 0.0]
+    assert robots["b"]["pose"] == [0.0, 19.0, 0.0]
+    assert [robots[name]["sources"]["s"]["last_seq"] for name in "ab"] == [29, 19]
+    assert status["map_info"]["width"] * 0.5 > 29
+
+
+def test_a_quiet_source_loses_nothing_to_a_busy_one(blocked, eventually):
+    mapper, release = blocked
+    mapper.scan([1.0], pose=[0.0, 0.0, math.pi / 2], robot="quiet")
+    for seq in range(100):
+        mapper.scan([1.0], pose=[0.0, 0.0, 0.0], robot="busy", run="1", seq=seq)
+    eventually(lambda: mapper.status()["scans"]["dropped"]["overload"] == 93)
+    release.set()
+    robots = mapper.settle(received=101)["robots"]
+    assert robots["quiet"]["sources"]["s"]["integrated"] == 1
+    assert robots["busy"]["sources"]["s"]["integrated"] == 7
+    assert robots["busy"]["sources"]["s"]["last_seq"] == 99
+
+
+def test_a_scan_whose_pose_is_in_the_queue_is_not_given_up_however_late_the_worker_is(blocked):
+    mapper, release = blocked
+    mapper.pose(at=0)
+    mapper.scan([1.0], at=50)
+    mapper.pose(at=100)
+    release.wait(0.4)  # twice as long as a scan waits for a robot that is not heard
+    release.set()
+    assert mapper.settle(received=1)["scans"]["integrated"] == 1

@@ -1,0 +1,242 @@
+"""The mapper's other routes: status, quality, one cell, metrics, page, documentation, errors."""
+
+import importlib.metadata
+import math
+import re
+from urllib.parse import urljoin
+
+import pytest
+
+HIT = math.log(0.7 / 0.3)
+ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
+ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
+
+
+def problem(response):
+    assert response.headers["content-type"] == "application/problem+json"
+    body = response.json()
+    assert (body["status"], body["title"]) == (response.status_code, response.reason_phrase)
+    return response.status_code, body["type"]
+
+
+def test_only_maps_may_be_kept_by_a_cache(cross):
+    others = [path for path in ROUTES if not path.startswith("/map.")]
+    others[others.index("/cell")] = "/cell?x=0&y=0"
+    others += ["/docs", "/openapi.json", "/static-offline-docs/swagger-ui.css", "/nothing", "/map.png?no=1"]
+    for path in others:
+        assert cross.http.get(path).headers["cache-control"] == "no-store", path
+    assert cross.http.post("/status").headers["cache-control"] == "no-store"
+    assert cross.http.post("/reset?no=1").headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "cell", "log_odds"),
+    [
+        (2.0, 0.0, (4, 0), 2 * HIT),
+        (2.499999, 0.499999, (4, 0), 2 * HIT),
+        (1.999999, 0.25, (3, 0), -2 * HIT),
+        (0.25, -2.25, (0, -5), -HIT),
+    ],
+)
+def test_a_known_cell(cross, x, y, cell, log_odds):
+    reply = cross.http.get("/cell", params={"x": x, "y": y}).json()
+    assert reply.pop("log_odds") == pytest.approx(log_odds, abs=1e-3)
+    assert reply.pop("probability") == pytest.approx(1 / (1 + math.exp(-log_odds)), abs=1e-4)
+    assert reply == {"x": x, "y": y, "ix": cell[0], "iy": cell[1], "known": True}
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "cell"), [(0.25, 0.25, (0, 0)), (-1, 1, (-2, 2)), (1e6, -1e6, (2e6, -2e6))]
+)
+def test_an_unknown_cell_in_the_map_or_outside(cross, x, y, cell):
+    assert cross.http.get("/cell", params={"x": x, "y": y}).json() == {
+        "x": x,
+        "y": y,
+        "ix": cell[0],
+        "iy": cell[1],
+        "known": False,
+        "log_odds": None,
+        "probability": None,
+    }
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/cell",
+        "/cell?x=1",
+        "/cell?x=1&y=",
+        "/cell?x=one&y=1",
+        "/cell?x=nan&y=1",
+        "/cell?x=1&y=inf",
+        "/cell?x=1e300&y=1",
+        "/cell?x=1&y=1&z=1",
+        "/cell?x=1&x=1&y=1",
+        "/status?no=1",
+        "/quality?region=0,0,1,1",
+    ],
+)
+def test_a_bad_parameter(cross, path):
+    assert problem(cross.http.get(path)) == (400, "bad-parameter")
+
+
+def test_status(cross):
+    status = cross.status()
+    assert list(status) == [
+        *("map", "epoch", "revision", "stamp", "scans", "poses", "other", "map_info", "robots", "uptime_s")
+    ]
+    assert (status["map"], status["revision"], status["stamp"]) == ("hall", 3, 1_700_000_000_000_000_003)
+    reasons = ["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside"]
+    dropped = dict.fromkeys(reasons, 0)
+    assert status["scans"] == {"received": 3, "integrated": 3, "pending": 0, "dropped": dropped}
+    assert status["poses"] == {"received": 0, "malformed": 0, "late": 0}
+    assert status["other"] == {"ignored": 0}
+    source = {"run": "", "last_seq": 0, "received": 3, "pending": 0, "integrated": 3}
+    robot = {"pose": [0.25, 0.25, 0.0], "stamp": 1_700_000_000_000_000_003, "sources": {"s": source}}
+    assert status["robots"] == {"r": robot}
+    assert {k: status["map_info"][k] for k in ("width", "height", "resolution")} == {
+        "width": 7,
+        "height": 9,
+        "resolution": 0.5,
+    }
+    assert status["map_info"]["bytes"] > 0
+    assert len(status["epoch"]) == 32
+    assert 0 < status["uptime_s"] < cross.status()["uptime_s"] < 600
+
+
+def test_known_cells_and_quality_become_those_of_the_newest_map(cross, eventually):
+    eventually(lambda: cross.status()["map_info"]["known_cells"] == 14)
+    quality = eventually(lambda: (q := cross.http.get("/quality").json())["scans"] == 3 and q)
+    assert quality["known_m2"] == 14 * 0.25
+    assert quality["occupied_m2"] == 3 * 0.25
+    assert quality["free_m2"] == 6 * 0.25
+    # Each hit end and each passed cell of the three scans, all of them on the right side of a half.
+    assert quality["consistency"] == {"hits": 1.0, "free": 1.0}
+    assert quality["cell_updates"] == 2 * 9 + 5
+    p, q = 1 / (1 + math.exp(-2 * HIT)), 0.7
+    entropy = -sum(n * (a * math.log2(a) + (1 - a) * math.log2(1 - a)) for n, a in ((9, p), (5, q)))
+    assert quality["entropy_bits"] == pytest.approx(entropy, rel=1e-3)
+    assert quality["mean_entropy_bits"] == pytest.approx(entropy / 14, rel=1e-3)
+
+
+def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
+    mapper.draw_cross()
+    mapper.pose(), mapper.pose(), mapper.pose(x=math.nan)
+    mapper.put("robots/r/odometry", b"")
+    mapper.put("robots/r/scan/s", b"garbage")
+    status = mapper.settle(received=4)
+    response = mapper.http.get("/metrics")
+    assert response.headers["content-type"].startswith("text/plain; version=0.0.4")
+    samples = prometheus(response.text)
+    scans, poses = status["scans"], status["poses"]
+    assert samples.pop(("ogm_uptime_seconds",)) > status["uptime_s"]
+    assert samples.pop(("ogm_map_known_cells",)) <= 14
+    assert {reason[1]: samples.pop(("ogm_scans_dropped_total", reason[1])) for reason in list(samples)
+            if reason[0] == "ogm_scans_dropped_total"} == scans["dropped"]  # fmt: skip
+    assert samples == {
+        ("ogm_scans_received_total",): scans["received"],
+        ("ogm_scans_integrated_total",): scans["integrated"],
+        ("ogm_scans_pending",): 0,
+        ("ogm_poses_received_total",): poses["received"],
+        ("ogm_poses_refused_total", "malformed"): poses["malformed"],
+        ("ogm_poses_refused_total", "late"): poses["late"],
+        ("ogm_messages_ignored_total",): status["other"]["ignored"],
+        ("ogm_map_revision",): 3,
+        ("ogm_map_bytes",): status["map_info"]["bytes"],
+        ("ogm_robots",): 1,
+    }
+    assert (scans["dropped"]["malformed"], poses, status["other"]) == (
+        1,
+        {"received": 3, "malformed": 1, "late": 1},
+        {"ignored": 1},
+    )
+
+
+def prometheus(text):
+    """Samples by (name, reason), every line checked against the exposition format."""
+    assert text.endswith("\n")
+    samples, kinds, helped = {}, {}, set()
+    for line in text.splitlines():
+        if line.startswith("# HELP "):
+            helped.add(line.split()[2])
+        elif line.startswith("# TYPE "):
+            _, _, name, kind = line.split()
+            assert name in helped
+            assert name not in kinds
+            kinds[name] = kind
+        else:
+            sample = re.fullmatch(r'(\w+)\{map="hall"(?:,reason="(\w+)")?\} ([0-9.e+-]+)', line)
+            assert sample, line
+            name, reason, value = sample.groups()
+            assert kinds[name] == ("counter" if name.endswith("_total") else "gauge")
+            key = (name, reason) if reason else (name,)
+            assert key not in samples
+            samples[key] = float(value)
+    return samples
+
+
+def test_version_and_page(cross):
+    version = importlib.metadata.version("zenoh-ogm")
+    assert cross.http.get("/version").json() == {"name": "zenoh-ogm", "version": version}
+    page = cross.http.get("/")
+    assert page.headers["content-type"] == "text/html; charset=utf-8"
+    assert re.findall(r"(?:https?:)?//[\w.-]+\.\w+", page.text) == []
+
+
+def test_docs_load_nothing_from_elsewhere(cross):
+    page = cross.http.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "://" not in page.text
+    loaded = re.findall(r"""(?:href|src)=["']([^"']+)["']""", page.text)
+    assert len(loaded) >= 3
+    for address in [*loaded, "/openapi.json"]:
+        assert address.startswith("/")
+        assert not address.startswith("//")
+        assert len(cross.http.get(urljoin("/docs", address)).raise_for_status().content) > 100
+
+
+def test_openapi_documents_every_route_and_its_parameters(cross):
+    document = cross.http.get("/openapi.json").json()
+    assert document["openapi"].startswith("3.")
+    assert document["info"]["title"] == "zenoh-ogm mapper"
+    paths = document["paths"]
+    assert set(paths) == {*ROUTES, "/reset"}
+    assert [path for path, item in paths.items() if set(item) != {"get"}] == ["/reset"]
+    assert set(paths["/reset"]) == {"post"}
+    named = {
+        path: {parameter["name"] for parameter in item["get"].get("parameters", [])}
+        for path, item in paths.items()
+        if "get" in item
+    }
+    assert {path: names for path, names in named.items() if names} == {
+        "/map.png": {"region", "palette", "max_size"},
+        "/map.json": {"region", "values"},
+        "/map.pgm": {"region", "palette"},
+        "/map.yaml": {"region"},
+        "/map.npz": {"region"},
+        "/cell": {"x", "y"},
+    }
+    for path in named:
+        operation = paths[path]["get"]
+        assert operation["summary"] not in ("", "Handle")
+        served = cross.http.get(path if path != "/cell" else "/cell?x=0&y=0").headers["content-type"]
+        assert list(operation["responses"]["200"]["content"]) == [served.partition(";")[0]]
+        for parameter in operation.get("parameters", []):
+            assert parameter["in"] == "query"
+            assert parameter["description"]
+            assert parameter["required"] == (path == "/cell")
+
+
+@pytest.mark.parametrize(
+    "path", ["/nothing", "/map", "/map.gif", "/cell/1", "/reset/x", "/redoc", "/static-offline-docs/x"]
+)
+def test_an_unknown_route(cross, path):
+    assert problem(cross.http.get(path)) == (404, "not-found")
+
+
+@pytest.mark.parametrize(("method", "path"), [("POST", "/map.png"), ("GET", "/reset"), ("DELETE", "/status")])
+def test_a_wrong_method(cross, method, path):
+    response = cross.http.request(method, path)
+    assert problem(response) == (405, "method-not-allowed")
+    assert response.headers["allow"]
+    assert cross.status()["revision"] == 3
