@@ -5,10 +5,10 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test check format pictures clean
 
-demo: $(VENV)/.run
+demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev $(VENV)/.kernels
 	$(BIN)/python -m pytest $(ARGS)
 
 check: $(VENV)/.dev
@@ -22,7 +22,7 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 # The maps that README.md shows: one lap through each of the simulated worlds.
-pictures: $(VENV)/.run
+pictures: $(VENV)/.run $(VENV)/.kernels
 	$(call picture,lab,220)
 	$(call picture,office,3675)
 
@@ -36,6 +36,11 @@ endef
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
+$(VENV)/.kernels: ogm_core/beams.py ogm_core/bresenham.py ogm_core/judge.py | $(BIN)/python
+	rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
+	@touch $@
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

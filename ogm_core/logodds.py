@@ -13,7 +13,7 @@ Two storage forms, both with a stored 0 for "never updated", so that untouched m
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -32,6 +32,7 @@ Encoder = Callable[[NDArray[np.float64], NDArray[np.bool_]], NDArray[Any]]
 P_EDGE = 1e-9
 """Probabilities are clipped to [1e-9, 1 - 1e-9] before the logit is taken."""
 FULL_SCALE = 16383
+_BAND_CELLS = 2**18
 OCCUPIED_ABOVE = 0.65
 FREE_BELOW = 0.196
 
@@ -147,9 +148,14 @@ class LogOdds:
 
     def encode(self, cells: Cells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
-        if cells.dtype == np.float64:
-            return encoder(self.probability(cells), self.known(cells))
-        return np.asarray(np.take(_table(self, encoder), cells.view(np.uint16)))
+        encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
+        for band in row_bands(cells):
+            part = cells[band]
+            if cells.dtype == np.float64:
+                encoded[band] = encoder(self.probability(part), self.known(part))
+            else:
+                np.take(_table(self, encoder), part.view(np.uint16), out=encoded[band], mode="clip")
+        return encoded
 
 
 @lru_cache(maxsize=16)
@@ -157,6 +163,13 @@ def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
     """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
     every = np.arange(2**16, dtype=np.uint16).view(np.int16)
     return encoder(model.probability(every), model.known(every))
+
+
+def row_bands(cells: Cells) -> Iterator[slice]:
+    """Slices of rows, about 2^18 cells each: few enough to stay in the processor's cache."""
+    rows = max(1, _BAND_CELLS // max(1, cells[:1].size))
+    for first in range(0, len(cells), rows):
+        yield slice(first, first + rows)
 
 
 def probability_of(log_odds: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

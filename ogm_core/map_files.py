@@ -13,7 +13,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
-from ogm_core.logodds import Encoder
+from ogm_core.logodds import Encoder, row_bands
 from ogm_core.palettes import Known, Probability, percent, probability_grey, ros_grey, trinary
 from ogm_core.png import write_png
 from ogm_core.ros_map import write_pgm, write_yaml
@@ -24,8 +24,6 @@ PALETTES: dict[str, Encoder] = {"ros": ros_grey, "probability": probability_grey
 
 _ENTRIES = np.frombuffer(b"".join(b"%3d," % value for value in range(-1, 101)), np.uint32)
 """-1, 0 ... 100 as items of a JSON array, four bytes each (JSON allows the blanks): a map is one look-up."""
-_BAND_CELLS = 2**18
-"""Cells that are taken through float64 at a time, so that they stay in the processor's cache."""
 _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -177,10 +175,9 @@ def _log_odds(snap: MapSnapshot) -> NDArray[np.floating[Any]]:
     """Log odds, NaN where unknown: l in float64 for float64 cells, else rounded to float32."""
     exact = snap.cells.dtype == np.float64
     served = np.empty(snap.cells.shape, np.float64 if exact else np.float32)
-    band = max(1, _BAND_CELLS // max(1, snap.width))
-    for row in range(0, snap.height, band):
-        cells = snap.cells[row : row + band]
-        served[row : row + band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
+    for band in row_bands(snap.cells):
+        cells = snap.cells[band]
+        served[band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
     return served
 
 

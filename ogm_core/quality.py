@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ogm_core import beams, judge
 from ogm_core.grid_settings import GridSettings
-from ogm_core.logodds import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.logodds import FREE_BELOW, OCCUPIED_ABOVE, row_bands
 from ogm_core.projection import beam_model, end_cells, read_only
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import Pose, Scan
@@ -97,7 +97,9 @@ def _known_probabilities(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], ND
     """Every probability of the known cells once, and how many have it."""
     cells = snapshot.cells
     if cells.dtype == np.int16:
-        counts = np.bincount(cells.view(np.uint16).ravel(), minlength=2**16)
+        counts = np.zeros(2**16, np.int64)
+        for band in row_bands(cells):
+            counts += np.bincount(cells[band].view(np.uint16).ravel(), minlength=2**16)
         values = np.arange(2**16, dtype=np.uint16).view(np.int16)
         counts[0] = 0
     else:
@@ -117,10 +119,11 @@ def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[n
 
 
 def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
-    evidence = snapshot.model.log_odds(snapshot.cells) - snapshot.model.l0
-    beliefs = np.full(evidence.shape, judge.UNDECIDED, np.uint8)
-    beliefs[evidence > DECIDED] = judge.OCCUPIED
-    beliefs[evidence < -DECIDED] = judge.FREE
+    beliefs = np.full(snapshot.cells.shape, judge.UNDECIDED, np.uint8)
+    for band in row_bands(beliefs):
+        evidence = snapshot.model.log_odds(snapshot.cells[band]) - snapshot.model.l0
+        beliefs[band][evidence > DECIDED] = judge.OCCUPIED
+        beliefs[band][evidence < -DECIDED] = judge.FREE
     return beliefs
 
 

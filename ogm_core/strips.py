@@ -37,7 +37,8 @@ class StripStore:
         shape = -(-(rect.ix + rect.width) // TILE) - tx, -(-(rect.iy + rect.height) // TILE) - ty
         self.rect = CellRect(tx * TILE, ty * TILE, shape[0] * TILE, shape[1] * TILE)
         strip_cells = shape[1] * _TILE_CELLS
-        self.cells = _untouched(shape[0] * strip_cells, dtype)
+        self._memory = _untouched(shape[0] * strip_cells * dtype.itemsize)
+        self.cells: NDArray[Any] = np.frombuffer(self._memory, dtype, shape[0] * strip_cells)
         columns = np.arange(self.rect.width)
         self.column: NDArray[np.int64] = (columns // TILE) * strip_cells + columns % TILE
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
@@ -78,13 +79,23 @@ class StripStore:
         return store
 
     def take(self, other: "StripStore") -> None:
-        """Copy every tile that was written in `other`, which this store was grown from, and nothing else."""
+        """Move every tile that was written in `other`, which this store was grown from, and nothing else.
+
+        `other` is given back to the system strip by strip, so that growing takes no second map's memory.
+        """
         dx, dy = self._tile_of(other)
         source = other.cells.reshape(*other.touched.shape, _TILE_CELLS)
         target = self.cells.reshape(*self.touched.shape, _TILE_CELLS)
         for tx in range(other.touched.shape[0]):
-            rows = np.flatnonzero(other.touched[tx])
-            target[tx + dx, rows + dy] = source[tx, rows]
+            for ty in np.flatnonzero(other.touched[tx]):
+                target[tx + dx, ty + dy] = source[tx, ty]
+            other.forget_strip(tx)
+
+    def forget_strip(self, tx: int) -> None:
+        """Give the memory of strip number `tx` back to the system; its cells read 0 from then on."""
+        size = self.touched.shape[1] * self.tile_bytes
+        if hasattr(mmap, "MADV_DONTNEED") and (tx * size) % mmap.PAGESIZE == 0:
+            self._memory.madvise(mmap.MADV_DONTNEED, tx * size, size)
 
     def _tile_of(self, other: "StripStore") -> tuple[int, int]:
         """Tile of this store that holds the lower-left cell of `other`."""
@@ -109,13 +120,13 @@ class StripStore:
         return dense
 
 
-def _untouched(size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Zeroed array of shape (size,) whose pages exist only once they are written."""
+def _untouched(size: int) -> mmap.mmap:
+    """Zeroed memory of `size` bytes whose pages exist only once they are written."""
     try:
-        memory = mmap.mmap(-1, max(size, 1) * dtype.itemsize, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory = mmap.mmap(-1, max(size, 1), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     except (OSError, OverflowError, MemoryError) as error:
-        raise LimitReached(f"no address space for {size} cells: {error}") from error
+        raise LimitReached(f"no address space for {size} bytes: {error}") from error
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         # A huge page would make 2 MB of the first cell that is written in it.
         memory.madvise(mmap.MADV_NOHUGEPAGE)
-    return np.frombuffer(memory, dtype, size)
+    return memory

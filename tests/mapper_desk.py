@@ -56,7 +56,7 @@ class Desk:
         assert scans["received"] == self.received
         assert scans["integrated"] == len(self.sink.placed)
         assert scans["pending"] == self.received - len(self.sink.placed) - sum(scans["dropped"].values()) >= 0
-        assert self.mapper.waits == (scans["pending"] > 0)
+        assert scans["pending"] == sum(len(robot.waiting) for robot in self.mapper._robots.values())
 
     @property
     def order(self):

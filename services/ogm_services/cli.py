@@ -57,9 +57,7 @@ def program(
     """Take the program's own flags; the commands do the work."""
 
 
-World = Annotated[
-    str, typer.Option(metavar="WORLD", help="lab, office, or a YAML file: a nav2 map, or a world of ours.")
-]
+World = Annotated[str, typer.Option(metavar="WORLD", help="lab, office, or the YAML file of a world.")]
 MapperOut = Annotated[
     Path | None,
     typer.Option(

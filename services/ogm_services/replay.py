@@ -42,9 +42,8 @@ class ReplayFailed(OgmError):
 
 @dataclass
 class _Sent:
-    """What was sent of one source's scans, and how far the mapper was with them before."""
+    """What was sent of one source's scans."""
 
-    received_before: int
     total: int = 0
     ahead: deque[tuple[str, int]] = field(default_factory=deque)
     """(run, seq) of the scans that the mapper has not taken yet, as far as known."""
@@ -106,12 +105,10 @@ class _Replay:
             publisher.put_pose(replace(recorded.message, run=run, seq=seq))
             return
         source = Source(recorded.robot, recorded.sensor)
-        sent = self._sent.setdefault(source, _Sent(_books(self._before, source)["received"]))
+        sent = self._sent.setdefault(source, _Sent())
         if len(sent.ahead) >= ASK_FROM:
             self._follow()
-            self._patiently(
-                lambda: len(sent.ahead) < MAX_AHEAD, f"taking scans of {'/'.join(map(str, source))}"
-            )
+            self._patiently(lambda: len(sent.ahead) < MAX_AHEAD, "taking scans")
         run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
         publisher.put_scan(recorded.sensor, replace(recorded.message, run=run, seq=seq))
         sent.ahead.append((run, seq))
@@ -121,30 +118,35 @@ class _Replay:
         """Wait until the mapper has handled every scan; say what became of them."""
 
         def handled() -> bool:
-            books = [(_books(self._status, source), sent) for source, sent in self._sent.items()]
             return all(
-                book["received"] - sent.received_before >= sent.total and book["pending"] == 0
-                for book, sent in books
+                self._since(source, "received") >= sent.total and _books(self._status, source)["pending"] == 0
+                for source, sent in self._sent.items()
             )
 
-        self._status = self._client.status()
-        self._patiently(handled, "handling the scans that were sent")
-        return self._outcome()
+        self._follow()
+        self._patiently(handled, "handling scans")
+        dropped = self._dropped()
+        if any(dropped.get(reason) for reason in _FATAL):
+            raise ReplayFailed(self._report())
+        return self._report()
 
-    def _outcome(self) -> str:
+    def _report(self) -> str:
         total = sum(sent.total for sent in self._sent.values())
-        integrated = sum(self._since(source, "integrated") for source in self._sent)
-        before = self._before["scans"]["dropped"]
-        dropped = {
-            reason: count - before[reason] for reason, count in self._status["scans"]["dropped"].items()
-        }
-        # Other robots' scans are counted there as well: if none of ours is missing, the drops are theirs.
-        parts = [f"{total} scans sent, {integrated} integrated"]
-        if integrated < total:
-            parts += [f"{count} dropped: {reason}" for reason, count in dropped.items() if count]
-            if any(dropped[reason] for reason in _FATAL):
-                raise ReplayFailed(", ".join(parts))
-        return ", ".join(parts)
+        missing = total - sum(self._since(source, "received") for source in self._sent)
+        parts = [f"{total} scans sent", f"{self._integrated()} integrated"]
+        parts += [f"{count} dropped: {reason}" for reason, count in self._dropped().items()]
+        return ", ".join(parts + ([f"{missing} never received"] if missing > 0 else []))
+
+    def _integrated(self) -> int:
+        return sum(self._since(source, "integrated") for source in self._sent)
+
+    def _dropped(self) -> dict[str, int]:
+        """Why scans were dropped, if any of ours were: the mapper counts reasons for all robots together."""
+        done = sum(self._since(source, "received") - self._since(source, "pending") for source in self._sent)
+        if self._integrated() >= done:
+            return {}
+        before, now = (status["scans"]["dropped"] for status in (self._before, self._status))
+        return {reason: now[reason] - before[reason] for reason in now if now[reason] > before[reason]}
 
     def _since(self, source: Source, count: str) -> int:
         return int(_books(self._status, source)[count] - _books(self._before, source)[count])
@@ -157,17 +159,18 @@ class _Replay:
             sent.taken(book["run"], book["last_seq"])
 
     def _patiently(self, reached: Callable[[], bool], what: str) -> None:
-        """Poll until `reached`; give up when the mapper's books have stood still for PATIENCE seconds."""
-        deadline, seen = time.monotonic() + PATIENCE, self._status["scans"]
+        """Poll until `reached`; give up when the books of our sources stand still for PATIENCE seconds."""
+        deadline, seen = time.monotonic() + PATIENCE, self._progress()
         while not reached():
             if time.monotonic() > deadline:
-                missing = sum(s.total - self._since(source, "received") for source, s in self._sent.items())
-                lost = f": {missing} scans were never received" if missing > 0 else ""
-                raise ReplayFailed(f"the mapper stopped {what}{lost}")
+                raise ReplayFailed(f"the mapper stopped {what}: {self._report()}")
             time.sleep(POLL)
             self._follow()
-            if self._status["scans"] != seen:
-                deadline, seen = time.monotonic() + PATIENCE, self._status["scans"]
+            if self._progress() != seen:
+                deadline, seen = time.monotonic() + PATIENCE, self._progress()
+
+    def _progress(self) -> list[dict[str, Any]]:
+        return [_books(self._status, source) for source in self._sent]
 
     def _publisher(self, robot: str) -> RobotPublisher:
         if robot not in self._robots:

@@ -59,7 +59,7 @@ def from_outlines(x, y):
 
 @pytest.fixture(scope="module", autouse=True)
 def lap_under_way(module_ogm):
-    """A demo of one lap, 11 s, that runs beside the module's first tests; and what its status says meanwhile."""
+    """A demo of one lap, 11 s, beside the module's first tests; and what its status says meanwhile."""
     mapper = module_ogm.ready(module_ogm.start("demo", "--duration", 11, "--out", "out", *FREE_PORTS))
     seen = [mapper.status()]
 
@@ -72,6 +72,8 @@ def lap_under_way(module_ogm):
     watcher = threading.Thread(target=watch)
     watcher.start()
     yield mapper.command, seen
+    with suppress(ProcessLookupError):
+        mapper.command.process.terminate()
     watcher.join()
 
 

@@ -223,3 +223,12 @@ def test_readers_get_whole_maps_while_it_is_written(settings):
     assert wrong == []
     assert len(seen) > 5
     assert live.snapshot().cells.tobytes() == maps[150].cells.tobytes()
+
+
+def test_after_a_reset_no_figure_is_the_old_maps(live, clock):
+    live.integrate(scan(), HERE)
+    assert live.info()["known_cells"] == 4
+    assert live.quality()["known_m2"] == 1.0
+    live.reset("second")
+    assert live.info()["known_cells"] == 0
+    assert live.quality()["known_m2"] == 0.0

@@ -10,7 +10,7 @@ from ogm_core.keys import Source
 MAX_BYTES = 256 * 1024**2
 """Payload that may wait, whatever the number of scans."""
 MAX_POSES = 100_000
-"""Poses are never dropped: past this many waiting, the sender is made to wait."""
+"""Poses are never dropped: past this many waiting, or MAX_BYTES of them, their sender is made to wait."""
 
 
 @dataclass(slots=True, eq=False)
@@ -32,6 +32,10 @@ class _Load:
     count: int = 0
     size: int = 0
     poses: int = 0
+    pose_size: int = 0
+
+    def takes_poses(self) -> bool:
+        return self.poses < MAX_POSES and self.pose_size < MAX_BYTES
 
 
 class Inbox:
@@ -52,8 +56,9 @@ class Inbox:
         with self._changed:
             load = self._load
             if item.source is not None and item.source.sensor is None:
-                self._changed.wait_for(lambda: load.poses < MAX_POSES or self._closed)
+                self._changed.wait_for(lambda: load.takes_poses() or self._closed)
                 load.poses += 1
+                load.pose_size += len(item.payload)
             elif item.source is not None:
                 load.scans.setdefault(item.source, deque()).append(item)
                 load.count += 1
@@ -98,6 +103,7 @@ class Inbox:
             return
         if item.source.sensor is None:
             load.poses -= 1
+            load.pose_size -= len(item.payload)
             return
         queue = load.scans[item.source]
         queue.popleft()

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, PlacedScan, map_figures
@@ -32,7 +34,7 @@ class LiveMap:
         self._recent: deque[PlacedScan] = deque(maxlen=RECENT_SCANS)
         self._writing = threading.Lock()
         self._reading = threading.Lock()
-        self._snapshot = grid.snapshot()
+        self._snapshot: MapSnapshot | None = None
         self._known_cells = _Figure()
         self._quality = _Figure()
 
@@ -60,19 +62,15 @@ class LiveMap:
 
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""
-        with self._reading:
-            with self._writing:
-                current = self._snapshot.epoch, self._snapshot.revision
-                if current != (self._grid.epoch, self._grid.revision):
-                    self._snapshot = self._grid.snapshot()
-            return self._snapshot
+        with self._reading, self._writing:
+            return self._current_snapshot()
 
     def info(self) -> dict[str, Any]:
         """The status's `map_info`; known cells may be a second old."""
         with self._writing:
             rect, nbytes = self._grid.rect, self._grid.nbytes
         return {
-            "known_cells": self._figure(self._known_cells, _count_known),
+            "known_cells": self._figure(self._known_cells, self._count_known),
             "bytes": nbytes,
             "width": rect.width,
             "height": rect.height,
@@ -84,8 +82,20 @@ class LiveMap:
         quality: dict[str, Any] = self._figure(self._quality, self._compute_quality)
         return quality
 
-    def _compute_quality(self, snapshot: MapSnapshot) -> dict[str, Any]:
-        with self._writing:
+    def _current_snapshot(self) -> MapSnapshot:
+        """The newest snapshot, taken if need be; both locks are held."""
+        known = self._snapshot
+        if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):
+            known = self._snapshot = self._grid.snapshot()
+        return known
+
+    def _count_known(self) -> int:
+        snapshot = self.snapshot()
+        return int(np.count_nonzero(snapshot.model.known(snapshot.cells)))
+
+    def _compute_quality(self) -> dict[str, Any]:
+        with self._reading, self._writing:
+            snapshot = self._current_snapshot()
             recent, updates = list(self._recent), self._grid.cell_updates
         consistency = Consistency(snapshot, self._grid.settings)
         for scan, pose in recent:
@@ -97,13 +107,14 @@ class LiveMap:
             "cell_updates": updates,
         }
 
-    def _figure(self, cached: "_Figure", compute: Callable[[MapSnapshot], Any]) -> Any:  # noqa: ANN401
+    def _figure(self, cached: "_Figure", compute: Callable[[], Any]) -> Any:  # noqa: ANN401
         """The cached value, computed anew if the map has changed and the value is old enough."""
         with cached.lock:
             identity = self.identity()
-            old = cached.value is None or time.monotonic() - cached.time >= FIGURES_PERIOD
-            if old and identity != cached.identity:
-                cached.value = compute(self.snapshot())
+            new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
+            old = time.monotonic() - cached.time >= FIGURES_PERIOD
+            if new_life or (old and identity != cached.identity):
+                cached.value = compute()
                 cached.identity, cached.time = identity, time.monotonic()
             return cached.value
 
@@ -116,7 +127,3 @@ class _Figure:
         self.value: Any = None
         self.identity: dict[str, Any] | None = None
         self.time = 0.0
-
-
-def _count_known(snapshot: MapSnapshot) -> int:
-    return int(snapshot.model.known(snapshot.cells).sum())

@@ -54,11 +54,6 @@ class Mapper:
         self._robots: dict[str, _Robot] = {}
         self._complaints = LimitedLog(log)
 
-    @property
-    def waits(self) -> bool:
-        """Whether any scan waits for a pose."""
-        return any(robot.waiting for robot in self._robots.values())
-
     def add_pose(self, name: str, message: PoseStamped) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
         robot = self._robots.setdefault(name, _Robot())
@@ -70,10 +65,12 @@ class Mapper:
             self._ledger.pose_refused("late")
             return
         self._ledger.located(name, message.stamp, message.pose)
-        ready = [item for item in robot.waiting if _ready_at(item[1]) <= message.stamp]
-        robot.waiting = [item for item in robot.waiting if _ready_at(item[1]) > message.stamp]
-        for sensor, scan in ready:
-            self._place(name, robot, sensor, scan)
+        waiting, robot.waiting = robot.waiting, []
+        for sensor, scan in waiting:
+            if _ready_at(scan) <= message.stamp:
+                self._place(name, robot, sensor, scan)
+            else:
+                robot.waiting.append((sensor, scan))
 
     def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""

@@ -19,8 +19,9 @@ import uvicorn
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import OgmError
 from ogm_core.grid import OccupancyGrid
-from ogm_core.grid_settings import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, GridSettings
+from ogm_core.grid_settings import GridSettings
 from ogm_core.keys import MapKeys
+from ogm_core.lattice import Region
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.answers import Answers
 from ogm_services.mapper.http_side import Health, build_app
@@ -169,16 +170,14 @@ def _not_cut_off(record: logging.LogRecord) -> bool:
 
 
 def warm_up(settings: GridSettings) -> None:
-    """Load or compile every kernel that a live map needs, on a small map of the same make."""
-    settings = dataclasses.replace(settings, max_cells=DEFAULT_MAX_CELLS, max_bytes=DEFAULT_MAX_BYTES)
-    scratch = LiveMap(OccupancyGrid(settings))
-    middle = Pose(0.0, 0.0, 0.0)
-    if settings.bounds is not None:
-        xmin, ymin, xmax, ymax = settings.bounds
-        middle = Pose((xmin + xmax) / 2, (ymin + ymax) / 2, 0.0)
-    length = 2 * settings.resolution
-    ranges = np.array([length, math.inf], np.float32)
-    scratch.integrate(Scan(0, 0.0, 1.0, 0.0, 2 * length + settings.alpha, ranges), middle)
+    """Load or compile every kernel that a live map needs, on a small map of the same kind."""
+    side = 64.0 * settings.resolution
+    bounds = None if settings.bounds is None else Region(0.0, 0.0, side, side)
+    small = GridSettings(settings.resolution, settings.model, 0.0, bounds=bounds, outside=settings.outside)
+    scratch = LiveMap(OccupancyGrid(small))
+    hit_and_no_return = np.array([side / 4, math.inf], np.float32)
+    scan = Scan(0, 0.0, 1.0, 0.0, side / 3, hit_and_no_return)
+    scratch.integrate(scan, Pose(side / 2, side / 2, 0.0))
     scratch.quality()
 
 

@@ -13,8 +13,8 @@ from ogm_services.mapper.inbox import Inbox, Item
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.mapper import Mapper
 
-WAKE_PERIOD = 0.1
-"""How often robots with waiting scans are looked after while nothing arrives, s."""
+LOOK_PERIOD = 0.1
+"""How often robots that have fallen silent are looked for, s."""
 
 log = logging.getLogger(__name__)
 
@@ -74,16 +74,21 @@ class Worker:
         while not outcome.done():
             if not self.alive or time.monotonic() >= deadline:
                 raise Unavailable("the mapper is stopping, or too busy: try again later")
-            wait([outcome], WAKE_PERIOD)
+            wait([outcome], LOOK_PERIOD)
         outcome.result()
 
     def _run(self) -> None:
+        looked = time.monotonic()
         while not self._inbox.closed:
-            item = self._inbox.take(WAKE_PERIOD if self._mapper.waits else None)
-            # Up to an item's arrival every message has been handled, however long the queue is; the clock may
-            # be far ahead of that.
-            now = time.monotonic() if item is None else item.arrival
-            self._mapper.expire(now, self._pose_wait)
+            # Up to `now` every message has been handled: up to the moment before an empty inbox was looked
+            # into, else up to the next message's arrival, however long the queue is.
+            now = time.monotonic()
+            item = self._inbox.take(LOOK_PERIOD)
+            if item is not None:
+                now = item.arrival
+            if now - looked >= LOOK_PERIOD:
+                self._mapper.expire(now, self._pose_wait)
+                looked = now
             if item is not None:
                 try:
                     self._work_on(item)

@@ -19,7 +19,7 @@ from ogm_services.mapper.inbox import Inbox, Item
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of
 
-QUERY_THREADS = 2
+QUERY_THREADS = 4
 
 log = logging.getLogger(__name__)
 

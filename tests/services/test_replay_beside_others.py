@@ -1,0 +1,72 @@
+"""A replay judges the mapper by the log's own scans, whatever other robots do meanwhile."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from ogm_core.recordings import RecordedScan, write_jsonl
+from ogm_core.types import IDENTITY, Scan
+from ogm_services import replay
+from ogm_services.replay import ReplayFailed, run_replay
+from ogm_services.settings import NetworkSettings
+
+
+@contextmanager
+def another_robot(mapper):
+    """A robot that keeps the mapper busy."""
+    stop = threading.Event()
+
+    def publish():
+        while not stop.wait(0.02):
+            mapper.scan([1.0], robot="other", pose=[0.0, 0.0, 0.0])
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def log_of(path, count, *, beams, stamp=0):
+    """A log of one robot's scans, each with its own pose."""
+    ranges = np.ones(beams, np.float32)
+    fields = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.0, "range_max": 8.0}
+    scans = [Scan(stamp + k, ranges=ranges, pose=IDENTITY, **fields) for k in range(count)]
+    write_jsonl(path, (RecordedScan("logged", "laser", scan) for scan in scans))
+    return path
+
+
+def replay_into(mapper, log):
+    network = NetworkSettings(map_name=mapper.keys.map_name, connect=(mapper.endpoint,))
+    run_replay(log, network, speed=None, range_max=None, robot=None)
+
+
+def test_it_ends_when_its_own_scans_are_in(mapper, tmp_path, capsys):
+    with another_robot(mapper):
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
+    assert capsys.readouterr().out.endswith("log.jsonl: 200 scans sent, 200 integrated\n")
+
+
+def test_scans_that_the_mapper_refuses_are_a_failure(start_mapper, tmp_path):
+    log = log_of(tmp_path / "log.jsonl", 20, beams=9)
+    with (
+        start_mapper(mapper={"max_beams": 8}) as mapper,
+        pytest.raises(ReplayFailed, match=r"^20 scans sent, 0 integrated, 20 dropped: malformed$"),
+    ):
+        replay_into(mapper, log)
+
+
+def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp_path, monkeypatch):
+    monkeypatch.setattr(replay, "PATIENCE", 0.5)
+    log = log_of(tmp_path / "log.jsonl", 200, beams=9)
+    # What is malformed has no seq, so the mapper never says that it has taken any of it.
+    with (
+        start_mapper(mapper={"max_beams": 8}) as mapper,
+        another_robot(mapper),
+        pytest.raises(ReplayFailed, match=r"stopped taking scans: 64 scans sent, 0 integrated, 64 dropped"),
+    ):
+        replay_into(mapper, log)

@@ -1,0 +1,59 @@
+"""Before a mapper is ready every kernel is compiled, whatever the settings; no scan waits for a compiler."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ogm_core import beams, bresenham, judge
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Region
+from ogm_core.logodds import LogOdds
+from ogm_core.messages import decode_scan, encode_scan
+from ogm_core.types import Pose, Scan
+from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.service import OccupancyGrid, warm_up
+
+KERNELS = (
+    beams.end_cells,
+    beams.drop_outside,
+    bresenham.extent,
+    bresenham.touch_tiles,
+    bresenham.update_cells,
+    judge.agreement,
+)
+
+
+def compiled():
+    return [len(kernel.signatures) for kernel in KERNELS]
+
+
+@pytest.mark.parametrize("outside", ["clip", "drop"])
+@pytest.mark.parametrize("cells", ["int16", "float64"])
+@pytest.mark.parametrize("bounds", [None, Region(-3, -2, 3, 2)])
+def test_afterwards_nothing_is_compiled(bounds, cells, outside):
+    settings = GridSettings(0.1, LogOdds(cells), bounds=bounds, outside=outside)
+    warm_up(settings)
+    before = compiled()
+    live_map = LiveMap(OccupancyGrid(settings))
+    ranges = np.array([1.0, 7.9, math.inf, math.nan], np.float32)
+    scan = decode_scan(encode_scan(Scan(0, 0.0, 0.1, 0.0, 8.0, ranges)))
+    live_map.integrate(scan, Pose(0, 0, 0))
+    live_map.quality()
+    assert compiled() == before
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        GridSettings(bounds=Region(0, 0, 0.2, 0.2), outside="drop"),
+        GridSettings(bounds=Region(0, 0, 600, 500), max_cells=2 * 10**8),
+        GridSettings(alpha=1e6),
+        GridSettings(reach=1e-3, clear_range=0.0, max_bytes=1, max_cells=1),
+        GridSettings(resolution=0.001, model=LogOdds(p_free=0.499)),
+        GridSettings(resolution=1e6),
+    ],
+    ids=lambda settings: f"{settings.resolution:g} m, {settings.bounds}, alpha {settings.alpha:g}",
+)
+def test_any_sound_settings_warm_up(settings):
+    warm_up(settings)
