@@ -39,7 +39,7 @@ clean:
 
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
 $(VENV)/.kernels: ogm_core/beams.py ogm_core/bresenham.py ogm_core/judge.py | $(BIN)/python
-	rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
+	@rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
 	@touch $@
 
 $(BIN)/python:
