@@ -125,6 +125,8 @@ class Command:
 
     def kill(self):
         """End the command and all that it started, by force."""
+        if self._ended is not None:
+            return  # its number may be another's by now
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
