@@ -30,7 +30,7 @@ TILE_BITS = 6
 """Tiles are 2^6 = 64 cells wide and high."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def fixed_point(major: int, minor: int) -> tuple[int, int]:
     """Bias acc(0) and step of the fixed-point minor coordinate of a line; major >= 1."""
     bias = ((major - 1) << (FRACTION_BITS - 1)) // major
@@ -73,6 +73,25 @@ def clip(
     first = max(1, -j0 if sj > 0 else j0 - height + 1)
     last = min(dj, height - 1 - j0 if sj > 0 else j0)
     return steps_inside(first, last, bias, step, i0, si, width, di)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def clipped_line(
+    i0: int, j0: int, i1: int, j1: int, width: int, height: int
+) -> tuple[bool, int, int, int, int, int, int, int]:
+    """What is needed to walk a line inside [0, width) x [0, height).
+
+    Returns whether i is the major axis, the signs of i and j, M, bias and step of the fixed-point minor
+    coordinate, and the first and last step inside; first > last if there is none.
+    """
+    di, dj = abs(i1 - i0), abs(j1 - j0)
+    si, sj = 1 if i1 > i0 else -1, 1 if j1 > j0 else -1
+    major, minor = max(di, dj), min(di, dj)
+    if major == 0:
+        return True, si, sj, 0, 0, 0, 1, 0
+    bias, step = fixed_point(major, minor)
+    first, last = clip(i0, j0, i1, j1, bias, step, width, height)
+    return di >= dj, si, sj, major, bias, step, first, last
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -118,23 +137,17 @@ def touch_tiles(
     """
     fresh = 0
     for b in range(ends.shape[1]):
-        i1, j1 = ends[0, b], ends[1, b]
-        di, dj = abs(i1 - i0), abs(j1 - j0)
-        major, minor = max(di, dj), min(di, dj)
-        if ends[2, b] == SKIPPED or major == 0:
+        if ends[2, b] == SKIPPED:
             continue
-        bias, step = fixed_point(major, minor)
-        k, last = clip(i0, j0, i1, j1, bias, step, width, height)
-        si, sj = 1 if i1 > i0 else -1, 1 if j1 > j0 else -1
+        along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, ends[0, b], ends[1, b], width, height)
         while k <= last:
-            along = i0 + si * k if di >= dj else j0 + sj * k
-            sign = si if di >= dj else sj
+            along, sign = (i0 + si * k, si) if along_i else (j0 + sj * k, sj)
             left = 63 - (along & 63) if sign > 0 else along & 63
             end = min(k + left, last)
             for q in (k, end):
                 aside = (bias + q * step) >> FRACTION_BITS
-                i = i0 + si * (q if di >= dj else aside)
-                j = j0 + sj * (aside if di >= dj else q)
+                i = i0 + si * (q if along_i else aside)
+                j = j0 + sj * (aside if along_i else q)
                 tile = i >> TILE_BITS, j >> TILE_BITS
                 if touched[tile] == 0:
                     fresh += 1
@@ -161,21 +174,17 @@ def update_cells(
     """
     updates = 0
     for b in range(ends.shape[1]):
-        i1, j1 = ends[0, b], ends[1, b]
-        di, dj = abs(i1 - i0), abs(j1 - j0)
-        major, minor = max(di, dj), min(di, dj)
-        if ends[2, b] == SKIPPED or major == 0:
+        if ends[2, b] == SKIPPED:
             continue
-        bias, step = fixed_point(major, minor)
-        first, last = clip(i0, j0, i1, j1, bias, step, width, height)
+        i1, j1 = ends[0, b], ends[1, b]
+        along_i, si, sj, major, bias, step, first, last = clipped_line(i0, j0, i1, j1, width, height)
         if first > last:
             continue
         updates += last - first + 1
         hit_inside = ends[2, b] == HIT and last == major
-        si, sj = 1 if i1 > i0 else -1, 1 if j1 > j0 else -1
         acc = bias + (first - 1) * step
         free_steps = last - first + (0 if hit_inside else 1)
-        if di >= dj:
+        if along_i:
             i = i0 + si * (first - 1)
             for _ in range(free_steps):
                 acc += step

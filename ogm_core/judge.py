@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, NO_RETURN, SKIPPED, classify
-from ogm_core.bresenham import FRACTION_BITS, clip, fixed_point
+from ogm_core.bresenham import FRACTION_BITS, clipped_line
 
 FREE, UNDECIDED, OCCUPIED = 1, 2, 3
 """Beliefs about a cell; 0 is unknown."""
@@ -27,17 +27,13 @@ def agreement(
     hits = occupied = passed = free = 0
     height, width = beliefs.shape
     for b in range(ends.shape[1]):
-        i1, j1 = ends[0, b], ends[1, b]
-        di, dj = abs(i1 - i0), abs(j1 - j0)
-        major, minor = max(di, dj), min(di, dj)
-        if ends[2, b] == SKIPPED or major == 0:
+        if ends[2, b] == SKIPPED:
             continue
-        bias, step = fixed_point(major, minor)
-        first, last = clip(i0, j0, i1, j1, bias, step, width, height)
-        si, sj = 1 if i1 > i0 else -1, 1 if j1 > j0 else -1
+        i1, j1 = ends[0, b], ends[1, b]
+        along_i, si, sj, major, bias, step, first, last = clipped_line(i0, j0, i1, j1, width, height)
         for k in range(first, last + 1):
             aside = (bias + k * step) >> FRACTION_BITS
-            i, j = (i0 + si * k, j0 + sj * aside) if di >= dj else (i0 + si * aside, j0 + sj * k)
+            i, j = (i0 + si * k, j0 + sj * aside) if along_i else (i0 + si * aside, j0 + sj * k)
             if k == major and ends[2, b] == HIT:
                 hits += 1
                 occupied += beliefs[j, i] == OCCUPIED
