@@ -4,6 +4,7 @@ Readings follow REP-117; the inverse sensor model is Thrun, Burgard & Fox 2005, 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,35 +16,39 @@ SKIPPED, NO_RETURN, HIT = 0, 1, 2
 """Kinds of beam: no evidence; saw nothing up to its free length; ended on something."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def classify(
-    r: float, range_min: float, range_max: float, alpha: float, clear_range: float, reach: float
-) -> tuple[int, float]:
-    """Kind of a beam that measured `r`, and the distance of its end point from the sensor, m.
+class BeamModel(NamedTuple):
+    """What the kernels need to know of a scan and a map to say what its ranges mean; metres, radians.
 
     `clear_range` and `reach` are infinite where there is no such limit.
     """
-    if math.isnan(r) or r <= 0.0 or r < range_min:
+
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    alpha: float
+    clear_range: float
+    reach: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def classify(r: float, beam: BeamModel) -> tuple[int, float]:
+    """Kind of a beam that measured `r`, and the distance of its end point from the sensor, m."""
+    if math.isnan(r) or r <= 0.0 or r < beam.range_min:
         return SKIPPED, 0.0
-    if r >= range_max:
-        return NO_RETURN, min(range_max, clear_range, reach)
-    if r >= range_max - alpha / 2:
-        return NO_RETURN, min(r, clear_range, reach)
-    if r > reach:
-        return NO_RETURN, reach
+    if r >= beam.range_max:
+        return NO_RETURN, min(beam.range_max, beam.clear_range, beam.reach)
+    if r >= beam.range_max - beam.alpha / 2:
+        return NO_RETURN, min(r, beam.clear_range, beam.reach)
+    if r > beam.reach:
+        return NO_RETURN, beam.reach
     return HIT, r
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def end_cells(
     ranges: NDArray[np.float32],
-    angle_min: float,
-    angle_increment: float,
-    range_min: float,
-    range_max: float,
-    alpha: float,
-    clear_range: float,
-    reach: float,
+    beam: BeamModel,
     x: float,
     y: float,
     theta: float,
@@ -58,10 +63,10 @@ def end_cells(
     """
     ends = np.zeros((3, ranges.size), np.int64)
     for k in range(ranges.size):
-        kind, length = classify(float(ranges[k]), range_min, range_max, alpha, clear_range, reach)
+        kind, length = classify(float(ranges[k]), beam)
         if kind == SKIPPED:
             continue
-        bearing = theta + (angle_min + k * angle_increment)
+        bearing = theta + (beam.angle_min + k * beam.angle_increment)
         if not math.isfinite(bearing):
             return False, ends
         u = (x + length * math.cos(bearing) - anchor_x) / resolution

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.beams import HIT, NO_RETURN, SKIPPED, classify
+from ogm_core.beams import HIT, NO_RETURN, SKIPPED, BeamModel, classify
 from ogm_core.bresenham import FRACTION_BITS, clipped_line
 
 FREE, UNDECIDED, OCCUPIED = 1, 2, 3
@@ -80,13 +80,7 @@ def cast_ray(
 @njit(cache=True, nogil=True, error_model="numpy")
 def predict_ranges(
     ranges: NDArray[np.float32],
-    angle_min: float,
-    angle_increment: float,
-    range_min: float,
-    range_max: float,
-    alpha: float,
-    clear_range: float,
-    reach: float,
+    beam: BeamModel,
     u: float,
     v: float,
     theta: float,
@@ -104,10 +98,10 @@ def predict_ranges(
     n = 0
     for k in range(ranges.size):
         measured = float(ranges[k])
-        kind, _ = classify(measured, range_min, range_max, alpha, clear_range, reach)
+        kind, _ = classify(measured, beam)
         if kind in (SKIPPED, NO_RETURN) or measured >= shorter_than:
             continue
-        bearing = theta + (angle_min + k * angle_increment)
+        bearing = theta + (beam.angle_min + k * beam.angle_increment)
         found, distance = cast_ray(u, v, bearing, longest / resolution, beliefs)
         judged[0, n], judged[1, n], judged[2, n] = measured, found, distance * resolution
         n += 1

@@ -1,7 +1,6 @@
 """A scan at its sensor's pose, projected onto a map's lattice: the kernels of ogm_core.beams, by name."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +15,9 @@ Ends = NDArray[np.int64]
 """End cell (ix, iy) and kind of every beam of a scan, shape (3, N)."""
 
 
-class BeamModel(NamedTuple):
-    """What the kernels need to know of a scan and a map to say what each range means; metres, radians."""
-
-    angle_min: float
-    angle_increment: float
-    range_min: float
-    range_max: float
-    alpha: float
-    clear_range: float
-    reach: float
-
-
-def beam_model(scan: Scan, settings: GridSettings) -> BeamModel:
+def beam_model(scan: Scan, settings: GridSettings) -> beams.BeamModel:
     """Gather a scan's and a map's parameters; no limit becomes infinity."""
-    return BeamModel(
+    return beams.BeamModel(
         float(scan.angle_min),
         float(scan.angle_increment),
         float(scan.range_min),
@@ -55,7 +42,7 @@ def end_cells(
         raise LimitReached(f"the sensor is out of reach: {error}") from error
     addressed, ends = beams.end_cells(
         read_only(scan.ranges),
-        *beam_model(scan, settings),
+        beam_model(scan, settings),
         float(pose.x),
         float(pose.y),
         float(pose.theta),

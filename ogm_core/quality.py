@@ -136,7 +136,7 @@ def _predict(
     v = (pose.y - anchor[1]) / resolution - offset[1]
     judged: NDArray[np.float64] = judge.predict_ranges(
         read_only(scan.ranges),
-        *beam_model(scan, settings),
+        beam_model(scan, settings),
         u,
         v,
         float(pose.theta),

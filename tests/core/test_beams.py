@@ -28,6 +28,10 @@ def scan_of(ranges, **changes):
     return Scan(**{**values, "ranges": np.asarray(ranges, np.float32), **changes})
 
 
+def classify(r, range_min, range_max, alpha, clear_range, reach):
+    return beams.classify(r, beams.BeamModel(0.0, 0.1, range_min, range_max, alpha, clear_range, reach))
+
+
 @pytest.mark.parametrize(
     ("r", "clear_range", "reach", "expected"),
     [
@@ -67,7 +71,7 @@ def scan_of(ranges, **changes):
     ],
 )
 def test_the_first_rule_that_fits_wins(r, clear_range, reach, expected):
-    assert beams.classify(r, R_MIN, R_MAX, ALPHA, clear_range, reach) == expected
+    assert classify(r, R_MIN, R_MAX, ALPHA, clear_range, reach) == expected
 
 
 def test_classify_is_its_twin_on_every_boundary():
@@ -78,15 +82,15 @@ def test_classify_is_its_twin_on_every_boundary():
         readings, (0.0, 0.5), (0.0, ALPHA, 30.0), (0.0, 3.0, 7.0, INF), (3.0, 7.95, R_MAX, INF)
     )
     for r, range_min, alpha, clear_range, reach in limits:
-        kind, length = beams.classify(r, range_min, R_MAX, alpha, clear_range, reach)
+        kind, length = classify(r, range_min, R_MAX, alpha, clear_range, reach)
         found = None if kind == SKIPPED else (kind == HIT, length)
         expected = naive.classify(r, range_min, R_MAX, alpha, clear_range, reach)
         assert found == expected, (r, range_min, alpha, clear_range, reach)
 
 
 def test_without_thickness_every_range_below_range_max_is_a_hit():
-    assert beams.classify(BELOW_MAX, 0.0, R_MAX, 0.0, INF, INF) == (HIT, BELOW_MAX)
-    assert beams.classify(R_MAX, 0.0, R_MAX, 0.0, INF, INF) == (NO_RETURN, R_MAX)
+    assert classify(BELOW_MAX, 0.0, R_MAX, 0.0, INF, INF) == (HIT, BELOW_MAX)
+    assert classify(R_MAX, 0.0, R_MAX, 0.0, INF, INF) == (NO_RETURN, R_MAX)
 
 
 @pytest.mark.parametrize("increment", [0.013, -0.013, 7.0])
