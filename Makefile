@@ -38,7 +38,7 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
-$(VENV)/.kernels: ogm_core/beams.py ogm_core/bresenham.py ogm_core/judge.py | $(BIN)/python
+$(VENV)/.kernels: ogm_core/lattice.py ogm_core/logodds.py ogm_core/beams.py ogm_core/bresenham.py ogm_core/judge.py | $(BIN)/python
 	@rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
 	@touch $@
 
