@@ -40,9 +40,12 @@ class NobodyAnswered(ClientError):
 
 
 def nobody(map_name: str, where: str, timeout: float) -> NobodyAnswered:
-    """Say that no mapper of the map answered at `where`, and what to check; `timeout` in seconds."""
+    """Say that no mapper of the map answered, and what to check; `timeout` in seconds.
+
+    `where` is "at ADDRESS", or what else says how it was asked.
+    """
     return NobodyAnswered(
-        f"no mapper of map {map_name!r} answered at {where} within {timeout:g} s: "
+        f"no mapper of map {map_name!r} answered {where} within {timeout:g} s: "
         f"is `ogm mapper` running there, with --map {map_name}?"
     )
 

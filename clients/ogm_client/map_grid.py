@@ -119,17 +119,19 @@ class MapGrid:
     def save_ros_map(self, path: str | os.PathLike[str]) -> None:
         """Write the pair that ROS 2 nav2 map_server loads, NAME.yaml and, beside it, NAME.pgm.
 
-        `path` is NAME.yaml, or NAME alone.
+        `path` is NAME.yaml (or NAME.yml), or NAME alone.
 
         Raises:
             MapEmpty: there is no cell to draw.
         """
         target = Path(path)
-        name = target.stem if target.suffix == ".yaml" else target.name
+        if target.suffix not in (".yaml", ".yml"):
+            target = target.with_name(f"{target.name}.yaml")
+        picture = target.with_suffix(".pgm")
         snap = self._snapshot()
-        picture, description = encode_pgm(snap), encode_yaml(snap, f"{name}.pgm")
-        target.with_name(f"{name}.pgm").write_bytes(picture)
-        target.with_name(f"{name}.yaml").write_bytes(description)
+        encoded, description = encode_pgm(snap), encode_yaml(snap, picture.name)
+        picture.write_bytes(encoded)
+        target.write_bytes(description)
 
     @property
     def _lattice(self) -> Lattice:

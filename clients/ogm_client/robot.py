@@ -69,11 +69,11 @@ class RobotPublisher:
         self._open = ExitStack()
         self._closed = False
         if session is None:
-            self._where = address
+            self._where = f"at {address}"
             self._session = open_session(NetworkConfig(connect=(address,)))
             self._open.callback(self._session.close)
         else:
-            self._where = "the given session"
+            self._where = "on the open session"
             self._session = session
         self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
         self._channels: dict[str, _Channel] = {}

@@ -28,7 +28,7 @@ class ZenohTransport:
         self._keys = MapKeys(map_name)
         self._timeout = timeout
         self._owns_session = session is None
-        self._where = address if session is None else "the given session"
+        self._where = f"at {address}" if session is None else "on the open session"
         self._session = open_session(NetworkConfig(connect=(address,))) if session is None else session
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:

@@ -87,11 +87,14 @@ def test_an_archive_is_the_mapper_s(tmp_path, dtype):
         np.testing.assert_array_equal(arrays["origin"], [9.0, -18.0])
 
 
-@pytest.mark.parametrize(("given", "name"), [("a", "a"), ("a.yaml", "a"), ("floor.2", "floor.2")])
-def test_a_ros_map_is_a_pair(tmp_path, given, name):
+@pytest.mark.parametrize(
+    ("given", "name", "suffix"),
+    [("a", "a", "yaml"), ("a.yaml", "a", "yaml"), ("a.yml", "a", "yml"), ("floor.2", "floor.2", "yaml")],
+)
+def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
     grid_of().save_ros_map(tmp_path / given)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.pgm", f"{name}.yaml"]
-    description = yaml.safe_load((tmp_path / f"{name}.yaml").read_text())
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.pgm", f"{name}.{suffix}"]
+    description = yaml.safe_load((tmp_path / f"{name}.{suffix}").read_text())
     assert description == {
         "image": f"{name}.pgm",
         "mode": "trinary",
