@@ -12,6 +12,8 @@ from ogm_core.errors import BadParameter, BadSetting
 
 MIN_RESOLUTION = 0.001
 """The smallest cell, m: with ranges up to 1000 m a beam stays below 2^20 cells (see ogm_core.bresenham)."""
+MAX_RESOLUTION = 1e6
+"""The largest cell, m."""
 MAX_INDEX = 2**52
 """Cells beyond this index are not addressed: a float64 no longer tells neighbours apart."""
 _WHOLE = 1e-6
@@ -68,8 +70,10 @@ class Lattice:
     anchor: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution) and self.resolution >= MIN_RESOLUTION):
-            raise BadSetting(f"resolution: at least {MIN_RESOLUTION:g} m is needed, got {self.resolution:g}")
+        if not MIN_RESOLUTION <= self.resolution <= MAX_RESOLUTION:
+            raise BadSetting(
+                f"resolution: {MIN_RESOLUTION:g} to {MAX_RESOLUTION:g} m is needed, got {self.resolution:g}"
+            )
 
     def cell_of(self, x: float, y: float) -> tuple[int, int]:
         """Indices (ix, iy) of the cell that holds the point (x, y), m.
@@ -91,18 +95,20 @@ class Lattice:
         """The smallest rectangle of cells that covers `region` (rounded outward).
 
         Raises:
-            BadParameter: the region is inverted, empty, not finite, or too far away.
+            BadParameter: the region is inverted, empty or not finite.
         """
         if not all(map(math.isfinite, region)):
             raise BadParameter("region: four finite numbers are needed")
         if not (region.xmin < region.xmax and region.ymin < region.ymax):
             raise BadParameter("region: xmin < xmax and ymin < ymax are needed")
-        ix, iy = self.cell_of(region.xmin, region.ymin)
-        u = (region.xmax - self.anchor[0]) / self.resolution
-        v = (region.ymax - self.anchor[1]) / self.resolution
-        if not (u < MAX_INDEX and v < MAX_INDEX):
-            raise BadParameter("region: no cell has such coordinates")
-        return CellRect(ix, iy, max(1, math.ceil(u) - ix), max(1, math.ceil(v) - iy))
+        ix, iy = (math.floor(self._index(value, axis)) for axis, value in enumerate(region[:2]))
+        right, top = (math.ceil(self._index(value, axis)) for axis, value in enumerate(region[2:]))
+        return CellRect(ix, iy, max(1, right - ix), max(1, top - iy))
+
+    def _index(self, value: float, axis: int) -> float:
+        """Coordinate in cells, cut off where cells can no longer be told apart."""
+        cells = (value - self.anchor[axis]) / self.resolution
+        return min(max(cells, -float(MAX_INDEX)), float(MAX_INDEX))
 
 
 def bounded(resolution: float, bounds: Region) -> tuple[Lattice, CellRect]:

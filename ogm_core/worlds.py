@@ -35,7 +35,7 @@ _BOX = "[xmin, ymin, xmax, ymax]"
 
 # What PyYAML lets through, beside its own error, from a scalar that is not what its tag says (!!bool maybe),
 # from a date that does not exist, and from an integer of thousands of digits.
-_YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
+YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ def _parse(text: str) -> Mapping[str, object]:
     try:
         # _Loader is a SafeLoader: it makes plain values only.
         fields = yaml.load(text, Loader=_Loader)
-    except _YAML_ERRORS as error:
+    except YAML_ERRORS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BadWorld(f"not YAML that can be read ({reason[:300]})") from error
     if not isinstance(fields, dict):

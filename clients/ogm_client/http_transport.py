@@ -4,7 +4,7 @@ import httpx
 
 from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
 from ogm_client.transport import MapReply, Parameters, Version, map_reply, mapper_error
-from ogm_core.errors import BadSetting
+from ogm_core.errors import BadParameter, BadSetting
 
 _PROBLEM = "application/problem+json"
 
@@ -21,7 +21,8 @@ class HttpTransport:
         self._url = url
         self._timeout = timeout
         try:
-            self._client = httpx.Client(base_url=url, timeout=timeout)
+            # A robot's mapper is on its network, whatever proxy the environment names for the world outside.
+            self._client = httpx.Client(base_url=url, timeout=timeout, trust_env=False)
         except httpx.InvalidURL as error:
             raise BadSetting(f"address {url!r}: {error}") from error
 
@@ -62,6 +63,8 @@ class HttpTransport:
             raise NobodyAnswered(
                 f"{self._url} did not answer /{name} within {self._timeout:g} s: is a mapper running there?"
             ) from error
+        except httpx.InvalidURL as error:
+            raise BadParameter(f"{name}: cannot be asked: {error}") from error
         except httpx.TransportError as error:
             raise BadReply(f"{self._url}: no HTTP answer to /{name} ({error}): is it a mapper's?") from error
         self._check(name, response)

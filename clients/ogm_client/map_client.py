@@ -52,9 +52,11 @@ class MapClient:
         seconds. An open Zenoh `session` is used in place of `address`, and stays open.
 
         Raises:
-            BadSetting: the address or the map's name is ill-formed.
+            BadSetting: the address, the map's name or the timeout is ill-formed.
             CannotConnect: nothing takes Zenoh connections at the address (HTTP connects when first asked).
         """
+        if not 0.0 < timeout < math.inf:
+            raise BadSetting(f"timeout: a positive number of seconds is needed, got {timeout}")
         self._transport = _transport(address, map_name, timeout, session)
 
     def get_map(self, region: Sequence[float] | None = None) -> MapGrid:
@@ -79,6 +81,8 @@ class MapClient:
         """
         if name not in NAMES:
             raise BadParameter(f"{name!r} cannot be fetched, only {', '.join(NAMES)}")
+        if "format" in parameters:
+            raise BadParameter(f"format: the name says it, {name}")
         return self._transport.fetch(name, _texts(parameters))
 
     def status(self) -> dict[str, Any]:

@@ -81,6 +81,17 @@ def resolve_listen(endpoint: str) -> str:
     return f"{match['protocol']}/{match['host']}:{port}{match['rest'] or ''}"
 
 
+def listens_on(config_file: Path | None) -> tuple[str, ...]:
+    """The endpoints that a Zenoh configuration file names to listen on; none without a file.
+
+    Raises:
+        BadSetting: the file is missing or ill-formed.
+    """
+    if config_file is None:
+        return ()
+    return tuple(filter(None, _endpoints(_from_file(config_file, NetworkConfig()), "listen").split(", ")))
+
+
 def reason(error: zenoh.ZError) -> str:
     """What Zenoh says went wrong, on one line, without the source locations that it appends."""
     return " ".join(re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).split()).rstrip(".!")

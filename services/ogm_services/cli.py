@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
-from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, running_service
+from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, held_signals, running_service
 from ogm_services.options import (
     ConfigFile,
     HttpFlags,
@@ -99,8 +99,8 @@ def demo(
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     settings = settings_from(config, map_flags, network, http)
     with running_service():
-        from ogm_services.demo import run_demo
-
+        with held_signals():
+            from ogm_services.demo import run_demo
         run_demo(settings, world=world, duration=duration, out=out)
 
 
@@ -116,8 +116,8 @@ def mapper(
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
     settings = settings_from(config, map_flags, network, http)
     with running_service():
-        from ogm_services.mapper.service import run_mapper
-
+        with held_signals():
+            from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
 
 
@@ -159,15 +159,13 @@ def simulate(
     settings = settings_from(config, network)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
-    if out is not None:
-        from ogm_services.simulator import record
-
-        record(options, out)
-        return
-    with running_service():
-        from ogm_services.simulator import run_simulator
-
-        run_simulator(settings.network, options)
+    with running_service(interrupted=0 if out is None else INTERRUPTED):
+        with held_signals():
+            from ogm_services.simulator import record, run_simulator
+        if out is None:
+            run_simulator(settings.network, options)
+        else:
+            record(options, out)
 
 
 def _speed(text: str) -> float | None:
@@ -199,8 +197,8 @@ def replay(
     factor = _speed(speed)
     settings = settings_from(config, network)
     with running_service(interrupted=INTERRUPTED):
-        from ogm_services.replay import run_replay
-
+        with held_signals():
+            from ogm_services.replay import run_replay
         run_replay(log, settings.network, speed=factor, range_max=log_flags.range_max, robot=log_flags.robot)
 
 
@@ -226,16 +224,17 @@ def build(
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
     settings = settings_from(config, map_flags)
-    from ogm_services.build import run_build
-
-    run_build(
-        log,
-        out,
-        settings,
-        range_max=log_flags.range_max,
-        robot=log_flags.robot,
-        hold_out=hold_out,
-    )
+    with running_service(interrupted=INTERRUPTED):
+        with held_signals():
+            from ogm_services.build import run_build
+        run_build(
+            log,
+            out,
+            settings,
+            range_max=log_flags.range_max,
+            robot=log_flags.robot,
+            hold_out=hold_out,
+        )
 
 
 @app.command()

@@ -12,14 +12,17 @@ from pathlib import Path
 import typer
 
 from ogm_client.map_client import MapClient
-from ogm_client.session import resolve_listen
+from ogm_client.session import listens_on, resolve_listen
 from ogm_core.errors import OgmError
 from ogm_core.worlds import world_named
 from ogm_services.exit_codes import held_signals
 from ogm_services.mapper.service import LIVE_MAP
+from ogm_services.output import check_folder
 from ogm_services.settings import Settings, without_settings
 
 SHUTDOWN = 15.0
+FIRST_SCAN = 30.0
+"""Time for the first scan to be integrated, s."""
 DRAIN = 10.0
 """Time for the scans on their way to be handled after the simulator's end, s."""
 POLL = 0.1
@@ -43,6 +46,8 @@ def run_demo(settings: Settings, *, world: str, duration: float | None, out: Pat
         DemoFailed: the mapper or the simulator failed.
     """
     world_named(world)
+    if out is not None:
+        check_folder(out)
     with tempfile.TemporaryDirectory(prefix="ogm-demo-") as folder:
         for_mapper, for_robot = _settings_files(settings, Path(folder))
         target = [] if out is None else ["--out", str(out)]
@@ -58,7 +63,9 @@ def _settings_files(settings: Settings, folder: Path) -> tuple[Path, Path]:
     network = settings.network
     listen = tuple(map(resolve_listen, network.for_mapper().listen))
     mapper_network = network.model_copy(update={"listen": listen})
-    robot_network = network.model_copy(update={"listen": (), "connect": listen or network.connect})
+    theirs = listen or listens_on(network.zenoh_config)
+    robot = {"listen": (), "connect": theirs, "zenoh_config": None} if theirs else {}
+    robot_network = network.model_copy(update=robot)
     paths = folder / "mapper.yaml", folder / "robot.yaml"
     for path, changed in zip(paths, (mapper_network, robot_network), strict=True):
         path.write_text(settings.model_copy(update={"network": changed}).to_yaml(), encoding="utf-8")
@@ -77,7 +84,10 @@ def _announced(mapper: Process) -> str:
 
 def _run(mapper: Process, simulator: Process, url: str, duration: float | None) -> None:
     if duration is not None:
-        _until(lambda: _scans(url)["integrated"] > 0, mapper, simulator)
+        soon = time.monotonic() + FIRST_SCAN
+        _until(lambda: _scans(url)["integrated"] > 0, mapper, simulator, deadline=soon)
+        if not _scans(url)["integrated"]:
+            raise DemoFailed(f"no scan was integrated within {FIRST_SCAN:g} s: {_scans(url)}")
     _until(
         lambda: False, mapper, simulator, deadline=None if duration is None else time.monotonic() + duration
     )

@@ -3,6 +3,7 @@
 import logging
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
@@ -75,7 +76,15 @@ def running_service(interrupted: int = 0) -> Iterator[None]:
 
 @contextmanager
 def held_signals() -> Iterator[None]:
-    """Put off Ctrl-C and SIGTERM until what runs inside is done; main thread only."""
+    """Put off Ctrl-C and SIGTERM until what runs inside is done.
+
+    For what must not be left half done, and for imports and compilers: where they call back into Python, an
+    exception out of a signal handler is swallowed, and the signal with it. Python handles signals in the
+    main thread only, so elsewhere this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     held: list[int] = []
 
     def hold(number: int, _: object) -> None:

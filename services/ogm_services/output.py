@@ -1,12 +1,27 @@
 """The files that a finished map is written as."""
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from ogm_core.errors import BadInput
 from ogm_core.map_files import encode_npz, encode_pgm, encode_png, encode_yaml
 from ogm_core.snapshot import MapSnapshot
+
+
+def check_folder(out: Path) -> None:
+    """Make the folder `out` if need be, long before anything is written into it.
+
+    Raises:
+        BadInput: it cannot be made or written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except OSError as error:
+        raise BadInput(f"--out {out}: cannot be written: {error.strerror}") from error
 
 
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None:

@@ -28,7 +28,9 @@ ASK_FROM = MAX_AHEAD // 2
 LONGEST_PAUSE = 10.0
 """Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
 PATIENCE = 10.0
-"""How long the mapper may make no progress at all, s."""
+"""How long the mapper may take no further scan of ours, s."""
+PATIENCE_WITH_POSES = 600.0
+"""How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
 POLL = 0.002
 
 _FATAL = ("malformed", "overload")
@@ -117,14 +119,15 @@ class _Replay:
     def finish(self) -> str:
         """Wait until the mapper has handled every scan; say what became of them."""
 
+        def received() -> bool:
+            return all(self._since(source, "received") >= sent.total for source, sent in self._sent.items())
+
         def handled() -> bool:
-            return all(
-                self._since(source, "received") >= sent.total and _books(self._status, source)["pending"] == 0
-                for source, sent in self._sent.items()
-            )
+            return all(_books(self._status, source)["pending"] == 0 for source in self._sent)
 
         self._follow()
-        self._patiently(handled, "handling scans")
+        self._patiently(received, "taking scans")
+        self._patiently(handled, "handling scans", PATIENCE_WITH_POSES)
         dropped = self._dropped()
         if any(dropped.get(reason) for reason in _FATAL):
             raise ReplayFailed(self._report())
@@ -158,16 +161,17 @@ class _Replay:
             book = _books(self._status, source)
             sent.taken(book["run"], book["last_seq"])
 
-    def _patiently(self, reached: Callable[[], bool], what: str) -> None:
-        """Poll until `reached`; give up when the books of our sources stand still for PATIENCE seconds."""
-        deadline, seen = time.monotonic() + PATIENCE, self._progress()
+    def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
+        """Poll until `reached`; give up when the books of our sources stand still for too long, s."""
+        patience = PATIENCE if patience is None else patience
+        deadline, seen = time.monotonic() + patience, self._progress()
         while not reached():
             if time.monotonic() > deadline:
                 raise ReplayFailed(f"the mapper stopped {what}: {self._report()}")
             time.sleep(POLL)
             self._follow()
             if self._progress() != seen:
-                deadline, seen = time.monotonic() + PATIENCE, self._progress()
+                deadline, seen = time.monotonic() + patience, self._progress()
 
     def _progress(self) -> list[dict[str, Any]]:
         return [_books(self._status, source) for source in self._sent]

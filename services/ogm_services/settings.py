@@ -25,8 +25,9 @@ from pydantic_core import ErrorDetails
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, GridSettings, Outside
 from ogm_core.keys import check_name
-from ogm_core.lattice import MIN_RESOLUTION
+from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.logodds import CellType, LogOdds
+from ogm_core.worlds import YAML_ERRORS
 from ogm_services.setting_values import (
     LOOPBACK,
     NONE,
@@ -65,7 +66,7 @@ class MapSettings(_Section):
     """The map and its sensor model; lengths in metres. Text "none" means none where none is allowed."""
 
     preset: Annotated[Preset | None, NONE] = None
-    resolution: Annotated[Finite, Field(ge=MIN_RESOLUTION)] = 0.05
+    resolution: Annotated[Finite, Field(ge=MIN_RESOLUTION, le=MAX_RESOLUTION)] = 0.05
     p_prior: Probability = 0.5
     p_occ: Probability = 0.7
     p_free: Probability = 0.3
@@ -226,7 +227,7 @@ def _from_file(path: Path) -> _Source:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadSetting(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except YAML_ERRORS as error:
         raise BadSetting(f"{path}: not YAML: {' '.join(str(error).split())}") from None
     given: _Source = {}
     for section, values in _mapping(content, f"{path}").items():

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 from ogm_core.errors import BadSetting
 
+MIN_RATE = 0.001
+"""The slowest rate of scans, Hz."""
+
 
 @dataclass(frozen=True, slots=True)
 class SimulatorOptions:
@@ -32,8 +35,8 @@ class SimulatorOptions:
     def __post_init__(self) -> None:
         if self.robots < 1:
             raise BadSetting(f"robots: at least 1 is needed, got {self.robots}")
-        if not 0.0 < self.rate < math.inf:
-            raise BadSetting(f"rate: more than 0 scans a second are needed, got {self.rate:g}")
+        if not MIN_RATE <= self.rate < math.inf:
+            raise BadSetting(f"rate: {MIN_RATE:g} scans a second or more are needed, got {self.rate:g}")
         if self.seed is not None and self.seed < 0:
             raise BadSetting(f"seed: 0 or more is needed, got {self.seed}")
         if self.fov is not None and not 0.0 < self.fov <= math.tau:

@@ -193,6 +193,26 @@ def test_an_ill_formed_address_is_refused(address):
         MapClient(address)
 
 
+@pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])
+def test_a_timeout_that_is_none_is_refused(timeout):
+    with pytest.raises(BadSetting, match="timeout: a positive number"):
+        MapClient("http://127.0.0.1:9", timeout=timeout)
+
+
+def test_the_format_is_in_the_name(mapper, client):
+    with pytest.raises(BadParameter, match=r"the name says it, map\.png"):
+        client.fetch("map.png", format="json")
+    assert mapper.asked == []
+
+
+def test_a_proxy_of_the_environment_is_not_asked(monkeypatch, endpoint):
+    for name in ("http_proxy", "ALL_PROXY"):
+        monkeypatch.setenv(name, "socks5://127.0.0.1:9")
+    address = endpoint.removeprefix("tcp/")
+    with MapClient(f"http://{address}") as client, pytest.raises(CannotConnect, match=address):
+        client.status()
+
+
 def test_no_mapper_of_that_map(zenoh_mapper):
     with MapClient(zenoh_mapper.address, map_name="other", timeout=30.0) as client:
         start = time.monotonic()

@@ -240,6 +240,9 @@ def test_a_map_name_must_fit_in_a_key(load):
     ("content", "text"),
     [
         (b"map: [", "not YAML"),
+        (b"map: {resolution: 2001-13-45}", "not YAML"),
+        (b"map: {resolution: !!int x}", "not YAML"),
+        (b"[" * 3000, "not YAML"),
         (b"\xff\xfe\xff", "not YAML"),
         (b"- map", "a mapping of names to values is needed"),
         (b"map: 3", "map: a mapping of names to values is needed, got 3"),

@@ -162,7 +162,7 @@ class _AnswerCache:
             return self._answers.get(key) if self._of is snapshot else None
 
     def keep(self, snapshot: MapSnapshot, key: object, answer: Answer) -> None:
-        size = len(answer.body)
+        size = len(answer.body) + len(repr(key))
         with self._lock:
             if self._of is not snapshot or self._size + size > CACHE_BYTES:
                 self._of, self._answers, self._size = snapshot, {}, 0

@@ -17,12 +17,13 @@ import typer
 import uvicorn
 
 from ogm_client.session import open_session, resolve_listen
-from ogm_core.errors import OgmError
+from ogm_core.errors import MapEmpty, OgmError
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.keys import MapKeys
 from ogm_core.lattice import Region
 from ogm_core.types import Pose, Scan
+from ogm_services.exit_codes import held_signals
 from ogm_services.mapper.answers import Answers
 from ogm_services.mapper.http_side import Health, build_app
 from ogm_services.mapper.inbox import Inbox
@@ -31,11 +32,12 @@ from ogm_services.mapper.live_map import LiveMap
 from ogm_services.mapper.mapper import Mapper
 from ogm_services.mapper.worker import Worker
 from ogm_services.mapper.zenoh_side import ZenohSide
-from ogm_services.output import write_map
+from ogm_services.output import check_folder, write_map
 from ogm_services.settings import Settings
 
 LIVE_MAP = "live map"
 """What the line with the URL begins with that a mapper prints when it is ready."""
+WAKE_PERIOD = 0.5
 GRACE = 2
 """How long open HTTP connections may take to finish when the mapper stops, s."""
 
@@ -54,8 +56,10 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     Raises:
         CannotServe, CannotListen, CannotConnect: an address is taken or unreachable.
         AlreadyMapped: another mapper of this map is alive.
-        MapEmpty: there is nothing to write at the end.
+        BadInput: the folder `out` cannot be written.
     """
+    if out is not None:
+        check_folder(out)
     service = MapperService(settings)
     try:
         with service:
@@ -64,7 +68,10 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
             service.wait()
     finally:
         if out is not None and service.was_ready:
-            write_map(out, service.live_map.snapshot(), service.live_map.quality())
+            try:
+                write_map(out, service.live_map.snapshot(), service.live_map.quality())
+            except MapEmpty:
+                log.warning("the map has no known cell: nothing is written into %s", out)
 
 
 class MapperService:
@@ -106,7 +113,9 @@ class MapperService:
 
     def wait(self) -> None:
         """Sleep until KeyboardInterrupt."""
-        threading.Event().wait()
+        # Signals may be handed to any thread; Python sees to them when the main thread wakes up.
+        while not threading.Event().wait(WAKE_PERIOD):
+            pass
 
     def reset(self) -> None:
         """Empty the map, after every message that has arrived."""
@@ -122,7 +131,8 @@ class MapperService:
         opening.callback(zenoh_side.close)
         zenoh_side.claim()
         opening.enter_context(self._http(listener))
-        warm_up(self._settings.grid_settings())
+        with held_signals():
+            warm_up(self._settings.grid_settings())
         self._worker.start()
         opening.callback(self._worker.stop)
         zenoh_side.declare(self._answers, self.reset)
@@ -199,6 +209,6 @@ def _bound_socket(host: str, port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise CannotServe(
-            f"--http-port {port}: cannot serve on {host}: {error.strerror}; 0 picks a free port"
+            f"--http-host {host} --http-port {port}: cannot serve: {error.strerror}; port 0 picks a free one"
         ) from error
     return listener
