@@ -224,7 +224,7 @@ def build(
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
     settings = settings_from(config, map_flags)
-    with running_service(interrupted=INTERRUPTED):
+    with running_service(interrupted=INTERRUPTED, logging_too=False):
         with held_signals():
             from ogm_services.build import run_build
         run_build(

@@ -48,13 +48,15 @@ def _complain(text: str, code: int) -> int:
 
 
 @contextmanager
-def running_service(interrupted: int = 0) -> Iterator[None]:
+def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterator[None]:
     """Log to stderr; Ctrl-C and SIGTERM alike end what runs inside, with exit code `interrupted`.
 
-    A second signal is ignored, to the process's end: what runs inside then stops already, in bounded time,
-    and may be writing.
+    Without `logging_too` nothing is logged: what runs inside says at its end what there was to say. A second
+    signal is ignored, to the process's end: what runs inside then stops already, in bounded time, and may be
+    writing.
     """
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    if logging_too:
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
 
     ending = False
 
