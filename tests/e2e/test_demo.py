@@ -59,8 +59,8 @@ def from_outlines(x, y):
 
 @pytest.fixture(scope="module", autouse=True)
 def lap_under_way(module_ogm):
-    """A demo of one lap, 11 s, beside the module's first tests; and what its status says meanwhile."""
-    mapper = module_ogm.ready(module_ogm.start("demo", "--duration", 11, "--out", "out", *FREE_PORTS))
+    """A demo of a lap (11 s) and some more, beside the first tests; and what its status says meanwhile."""
+    mapper = module_ogm.ready(module_ogm.start("demo", "--duration", 14, "--out", "out", *FREE_PORTS))
     seen = [mapper.status()]
 
     def watch():
@@ -108,7 +108,7 @@ def test_the_demo_ends_by_itself_and_its_books_balance(lap):
     assert sum(seen[-1]["scans"]["dropped"].values()) == 0
     quality = json.loads((out / "quality.json").read_text())
     assert seen[-1]["scans"]["integrated"] <= quality["scans"]
-    assert 200 <= quality["scans"] <= 260  # 20 a second, from the first one on
+    assert 220 <= quality["scans"] <= 320  # 20 a second, from the first one on, on a busy machine fewer
     assert quality["consistency"]["free"] > 0.95
 
 
