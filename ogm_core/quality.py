@@ -40,6 +40,16 @@ def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
     }
 
 
+def quality_figures(snapshot: MapSnapshot, consistency: "Consistency", cell_updates: int) -> dict[str, Any]:
+    """Every figure of a map and the scans in it; `cell_updates` is how many updates its cells have had."""
+    return {
+        **map_figures(snapshot),
+        "consistency": consistency.figures(),
+        "scans": snapshot.revision,
+        "cell_updates": cell_updates,
+    }
+
+
 class Consistency:
     """Share of hit end cells with p > 0.5, and of traversed cells with p < 0.5, in a finished map."""
 

@@ -4,17 +4,15 @@ The log goes through the same Mapper as live messages do, in file order. A secon
 well the finished map agrees with the scans that made it.
 """
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import typer
 
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
-from ogm_core.quality import Consistency, PlacedScan, held_out, map_figures
+from ogm_core.quality import Consistency, PlacedScan, held_out, quality_figures
 from ogm_core.recordings import RecordedScan, RecordingReader
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.ledger import Ledger
@@ -41,8 +39,6 @@ def run_build(
         BadRecording: the log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
-    # The report at the end says what was dropped; the mapper need not say it on the way.
-    logging.getLogger("ogm_services").addHandler(logging.NullHandler())
     max_beams = settings.mapper.max_beams
 
     def reader() -> RecordingReader:
@@ -60,12 +56,7 @@ def run_build(
     consistency = Consistency(snapshot, grid.settings)
     with reader() as messages:
         _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
-    quality: dict[str, Any] = {
-        **map_figures(snapshot),
-        "consistency": consistency.figures(),
-        "scans": grid.revision,
-        "cell_updates": grid.cell_updates,
-    }
+    quality = quality_figures(snapshot, consistency, grid.cell_updates)
     if hold_out is not None:
         quality["held_out"] = held_out(snapshot, grid.settings, first.held)
     write_map(out, snapshot, quality)

@@ -57,7 +57,8 @@ def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterat
     """
     if logging_too:
         logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-
+    else:
+        logging.getLogger("ogm_services").addHandler(logging.NullHandler())
     ending = False
 
     def interrupt(*_: object) -> None:

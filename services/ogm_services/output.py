@@ -2,6 +2,8 @@
 
 import json
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,8 @@ def check_folder(out: Path) -> None:
     Raises:
         BadInput: it cannot be made or written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise BadInput(f"--out {out}: cannot be written: {error.strerror}") from error
+    with _written(out), tempfile.TemporaryFile(dir=out):
+        pass
 
 
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None:
@@ -40,9 +38,16 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None
         "map.npz": encode_npz(snapshot),
         "quality.json": (json.dumps(quality, indent=2) + "\n").encode(),
     }
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with _written(out):
         for name, content in files.items():
             (out / name).write_bytes(content)
+
+
+@contextmanager
+def _written(out: Path) -> Iterator[None]:
+    """Make the folder `out` for what writes into it inside, and tell what keeps it from doing so."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
     except OSError as error:
         raise BadInput(f"--out {out}: cannot be written: {error.strerror}") from error

@@ -11,7 +11,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
-from ogm_core.quality import map_figures
+from ogm_core.quality import map_figures, quality_figures
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper import live_map as live_map_module
 from ogm_services.mapper.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
@@ -48,11 +48,11 @@ def counted(monkeypatch):
     """How often the figures of a whole map are computed: a list of their revisions."""
     revisions = []
 
-    def count(snapshot):
+    def count(snapshot, *others):
         revisions.append(snapshot.revision)
-        return map_figures(snapshot)
+        return quality_figures(snapshot, *others)
 
-    monkeypatch.setattr(live_map_module, "map_figures", count)
+    monkeypatch.setattr(live_map_module, "quality_figures", count)
     return revisions
 
 

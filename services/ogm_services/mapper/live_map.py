@@ -10,7 +10,7 @@ import numpy as np
 
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
-from ogm_core.quality import Consistency, PlacedScan, map_figures
+from ogm_core.quality import Consistency, PlacedScan, quality_figures
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import Pose, Scan
 
@@ -100,12 +100,7 @@ class LiveMap:
         consistency = Consistency(snapshot, self._grid.settings)
         for scan, pose in recent:
             consistency.add(scan, pose)
-        return {
-            **map_figures(snapshot),
-            "consistency": consistency.figures(),
-            "scans": snapshot.revision,
-            "cell_updates": updates,
-        }
+        return quality_figures(snapshot, consistency, updates)
 
     def _figure(self, cached: "_Figure", compute: Callable[[], Any]) -> Any:  # noqa: ANN401
         """The cached value, computed anew if the map has changed and the value is old enough."""

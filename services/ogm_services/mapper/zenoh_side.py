@@ -31,7 +31,7 @@ class AlreadyMapped(OgmError):
 
 
 class ZenohSide:
-    """A mapper's declarations on a session, as a context manager.
+    """A mapper's declarations on a session, until `close`.
 
     Zenoh's threads call the callbacks: that of the subscriber only counts and enqueues, those of the
     queryables hand their query to a small pool, so that no link ever waits for an answer to be encoded.
