@@ -37,8 +37,10 @@ clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
+KERNELS := $(addprefix ogm_core/,lattice.py logodds.py beams.py cell_updates.py bresenham.py dda.py star.py sector.py judge.py)
+
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
-$(VENV)/.kernels: ogm_core/lattice.py ogm_core/logodds.py ogm_core/beams.py ogm_core/bresenham.py ogm_core/judge.py | $(BIN)/python
+$(VENV)/.kernels: $(KERNELS) | $(BIN)/python
 	@rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
 	@touch $@
 

@@ -1,4 +1,4 @@
-"""From a scan's ranges to end cells: which beams count, how far they reach, and in which cell they end.
+"""From a scan's ranges to beams on the lattice: which count, how far they reach, where they start and end.
 
 Readings follow REP-117; the inverse sensor model is Thrun, Burgard & Fox 2005, table 9.2, along a ray.
 """
@@ -46,56 +46,60 @@ def classify(r: float, beam: BeamModel) -> tuple[int, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def end_cells(
+def project(
     ranges: NDArray[np.float32],
     beam: BeamModel,
-    x: float,
-    y: float,
-    theta: float,
+    sensor: NDArray[np.float64],
     anchor_x: float,
     anchor_y: float,
     resolution: float,
-) -> tuple[bool, NDArray[np.int64]]:
-    """End cell and kind of every beam of a scan taken at sensor pose (x, y, theta) in the map frame.
+    exact: bool,
+) -> tuple[bool, NDArray[np.int64], NDArray[np.float64]]:
+    """Project every beam of a scan onto a lattice; the rows are those of ogm_core.projection.Beams.
 
-    Returns whether every end cell can be addressed, and int64 of shape (3, N): ix, iy, kind. A skipped
-    beam's cell is (0, 0). The arithmetic is that of `Lattice.cell_of`, in the same order.
+    `sensor` holds the sensor's poses in the map frame: shape (1, 3), or (N, 3) with one a beam. Returns
+    whether every end cell can be addressed, the beams' cells, and their lines if they are to be `exact`. A
+    skipped beam's end cell is (0, 0). The arithmetic is that of `Lattice.cell_of`, in the same order.
     """
-    ends = np.zeros((3, ranges.size), np.int64)
+    cells = np.zeros((5, ranges.size), np.int64)
+    lines = np.zeros((4, ranges.size if exact else 0))
     for k in range(ranges.size):
         kind, length = classify(float(ranges[k]), beam)
         if kind == SKIPPED:
             continue
-        bearing = theta + (beam.angle_min + k * beam.angle_increment)
+        p = k if len(sensor) > 1 else 0
+        x, y = sensor[p, 0], sensor[p, 1]
+        bearing = sensor[p, 2] + (beam.angle_min + k * beam.angle_increment)
         if not math.isfinite(bearing):
-            return False, ends
+            return False, cells, lines
+        u0, v0 = (x - anchor_x) / resolution, (y - anchor_y) / resolution
         u = (x + length * math.cos(bearing) - anchor_x) / resolution
         v = (y + length * math.sin(bearing) - anchor_y) / resolution
-        if not (abs(u) < MAX_INDEX and abs(v) < MAX_INDEX):
-            return False, ends
-        ends[0, k] = math.floor(u)
-        ends[1, k] = math.floor(v)
-        ends[2, k] = kind
-    return True, ends
+        if not (max(abs(u), abs(v)) < MAX_INDEX and max(abs(u0), abs(v0)) < MAX_INDEX):
+            return False, cells, lines
+        cells[0, k], cells[1, k] = math.floor(u), math.floor(v)
+        cells[2, k] = kind
+        cells[3, k], cells[4, k] = math.floor(u0), math.floor(v0)
+        if exact:
+            lines[0, k], lines[1, k] = u0 - math.floor(u0), v0 - math.floor(v0)
+            lines[2, k], lines[3, k] = u - u0, v - v0
+    return True, cells, lines
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def drop_outside(
-    ends: NDArray[np.int64], i0: int, j0: int, ix: int, iy: int, width: int, height: int
-) -> tuple[int, int]:
-    """Skip the beams that start (in cell i0, j0) or end outside a rectangle of cells.
+def drop_outside(beams: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
+    """Skip the beams whose start or end cell lies outside a rectangle of cells.
 
-    Changes the kinds in `ends`. Returns how many beams counted before, and how many were dropped.
+    Changes the kinds in `beams`, shape (5, N). Returns how many counted before, and how many were dropped.
     """
-    starts_inside = ix <= i0 < ix + width and iy <= j0 < iy + height
     counted = 0
     dropped = 0
-    for k in range(ends.shape[1]):
-        if ends[2, k] == SKIPPED:
+    for k in range(beams.shape[1]):
+        if beams[2, k] == SKIPPED:
             continue
         counted += 1
-        i, j = ends[0, k], ends[1, k]
-        if not (starts_inside and ix <= i < ix + width and iy <= j < iy + height):
-            ends[2, k] = SKIPPED
+        starts_inside = ix <= beams[3, k] < ix + width and iy <= beams[4, k] < iy + height
+        if not (starts_inside and ix <= beams[0, k] < ix + width and iy <= beams[1, k] < iy + height):
+            beams[2, k] = SKIPPED
             dropped += 1
     return counted, dropped

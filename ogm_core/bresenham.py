@@ -11,23 +11,22 @@ s(k) = acc(k) >> 42 is exact for every M below 2^20.5: the rounding errors add u
 no s(k) is nearer than 1 / (2 M) to the next integer without being one. Shifts and adds need no branch per
 cell, and k need not begin at 1, so a beam that is clipped at a map's bounds costs only the cells inside.
 
-Cells are addressed as in ogm_core.strips: address(i, j) = column[i] + 64 j.
+Cells are addressed as in ogm_core.strips: address(i, j) = column[i] + 64 j. `beams` are the rows of
+ogm_core.projection.Beams.cells, shape (5, N).
 """
 
-import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED
+from ogm_core.cell_updates import TILE_BITS, add_free, add_occupied
+from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 
 FRACTION_BITS = 42
-TILE_BITS = 6
-"""Tiles are 2^6 = 64 cells wide and high."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -76,6 +75,12 @@ def clip(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def counted_from(window: CellRect, beams: NDArray[np.int64], b: int) -> tuple[int, int, int, int]:
+    """Start and end cell of beam `b`, counted from the window's lower-left cell."""
+    return beams[3, b] - window.ix, beams[4, b] - window.iy, beams[0, b] - window.ix, beams[1, b] - window.iy
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def clipped_line(
     i0: int, j0: int, i1: int, j1: int, width: int, height: int
 ) -> tuple[bool, int, int, int, int, int, int, int]:
@@ -95,26 +100,27 @@ def clipped_line(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def extent(ends: NDArray[np.int64], i0: int, j0: int) -> tuple[int, int, int, int]:
+def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
 
     A line is monotone in both axes, so its first and last cells span it. Width is 0 if nothing is updated.
     """
     imin = jmin = 2**62
     imax = jmax = -(2**62)
-    for k in range(ends.shape[1]):
-        di, dj = ends[0, k] - i0, ends[1, k] - j0
+    for k in range(beams.shape[1]):
+        i0, j0 = beams[3, k], beams[4, k]
+        di, dj = beams[0, k] - i0, beams[1, k] - j0
         major, minor = max(abs(di), abs(dj)), min(abs(di), abs(dj))
-        if ends[2, k] == SKIPPED or major == 0:
+        if beams[2, k] == SKIPPED or major == 0:
             continue
         aside = (2 * minor + major - 1) // (2 * major)
         ahead_i, ahead_j = (1, aside) if abs(di) >= abs(dj) else (aside, 1)
         first_i = i0 + (ahead_i if di > 0 else -ahead_i)
         first_j = j0 + (ahead_j if dj > 0 else -ahead_j)
-        imin = min(imin, first_i, ends[0, k])
-        imax = max(imax, first_i, ends[0, k])
-        jmin = min(jmin, first_j, ends[1, k])
-        jmax = max(jmax, first_j, ends[1, k])
+        imin = min(imin, first_i, beams[0, k])
+        imax = max(imax, first_i, beams[0, k])
+        jmin = min(jmin, first_j, beams[1, k])
+        jmax = max(jmax, first_j, beams[1, k])
     if imax < imin:
         return 0, 0, 0, 0
     return imin, jmin, imax - imin + 1, jmax - jmin + 1
@@ -122,24 +128,22 @@ def extent(ends: NDArray[np.int64], i0: int, j0: int) -> tuple[int, int, int, in
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def touch_tiles(
-    ends: NDArray[np.int64],
-    i0: int,
-    j0: int,
-    width: int,
-    height: int,
+    beams: NDArray[np.int64],
+    window: CellRect,
     touched: NDArray[np.int64],
     revision: int,
 ) -> int:
     """Write `revision` into every tile that the beams will update, and return how many held 0 before.
 
-    Cells are counted from the store's corner; `touched` has shape (tiles in x, tiles in y). Between two
+    Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Between two
     tile edges of its major axis a line meets at most two tiles: those of the piece's first and last cell.
     """
     fresh = 0
-    for b in range(ends.shape[1]):
-        if ends[2, b] == SKIPPED:
+    for b in range(beams.shape[1]):
+        if beams[2, b] == SKIPPED:
             continue
-        along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, ends[0, b], ends[1, b], width, height)
+        i0, j0, i1, j1 = counted_from(window, beams, b)
+        along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
         while k <= last:
             along, sign = (i0 + si * k, si) if along_i else (j0 + sj * k, sj)
             left = 63 - (along & 63) if sign > 0 else along & 63
@@ -158,30 +162,29 @@ def touch_tiles(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_cells(
-    ends: NDArray[np.int64],
-    i0: int,
-    j0: int,
-    width: int,
-    height: int,
+    beams: NDArray[np.int64],
+    window: CellRect,
     cells: NDArray[Any],
     column: NDArray[np.int64],
     update: Update,
 ) -> int:
     """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
 
-    Cells are counted from the store's corner; only those in [0, width) x [0, height) are touched. The
-    sensor's own cell is never updated. Unsigned addresses spare numba's check for negative indices.
+    Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
+    never updated. Unsigned addresses spare numba's check for negative indices.
     """
     updates = 0
-    for b in range(ends.shape[1]):
-        if ends[2, b] == SKIPPED:
+    for b in range(beams.shape[1]):
+        if beams[2, b] == SKIPPED:
             continue
-        i1, j1 = ends[0, b], ends[1, b]
-        along_i, si, sj, major, bias, step, first, last = clipped_line(i0, j0, i1, j1, width, height)
+        i0, j0, i1, j1 = counted_from(window, beams, b)
+        along_i, si, sj, major, bias, step, first, last = clipped_line(
+            i0, j0, i1, j1, window.width, window.height
+        )
         if first > last:
             continue
         updates += last - first + 1
-        hit_inside = ends[2, b] == HIT and last == major
+        hit_inside = beams[2, b] == HIT and last == major
         acc = bias + (first - 1) * step
         free_steps = last - first + (0 if hit_inside else 1)
         if along_i:
@@ -203,47 +206,3 @@ def update_cells(
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
             cells[address] = add_occupied(cells[address], update)
     return updates
-
-
-def _free_int16(cell: Any, update: Any) -> Any:  # noqa: ANN401 - one form a storage type
-    return (max(cell, update.lower - update.free) + update.free) | 1
-
-
-def _occupied_int16(cell: Any, update: Any) -> Any:  # noqa: ANN401
-    return (min(cell, update.upper - update.occupied) + update.occupied) | 1
-
-
-def _free_float64(cell: Any, update: Any) -> Any:  # noqa: ANN401
-    if cell == 0.0 and math.copysign(1.0, cell) > 0.0:
-        cell = update.prior
-    cell = max(cell + update.free, update.lower)
-    return -0.0 if cell == 0.0 else cell
-
-
-def _occupied_float64(cell: Any, update: Any) -> Any:  # noqa: ANN401
-    if cell == 0.0 and math.copysign(1.0, cell) > 0.0:
-        cell = update.prior
-    cell = min(cell + update.occupied, update.upper)
-    return -0.0 if cell == 0.0 else cell
-
-
-def add_free(cell: Any, update: Update) -> Any:  # noqa: ANN401
-    """Stored cell after one observation "free": l <- max(l + d_free, l_min), and known (ogm_core.logodds)."""
-    return _free_float64(cell, update) if isinstance(cell, np.floating) else _free_int16(int(cell), update)
-
-
-def add_occupied(cell: Any, update: Update) -> Any:  # noqa: ANN401
-    """Stored cell after one observation "occupied": l <- min(l + d_occ, l_max), and known."""
-    if isinstance(cell, np.floating):
-        return _occupied_float64(cell, update)
-    return _occupied_int16(int(cell), update)
-
-
-@overload(add_free)
-def _add_free(cell: Any, update: Any) -> Any:  # noqa: ANN401 - numba types
-    return _free_float64 if isinstance(cell, types.Float) else _free_int16
-
-
-@overload(add_occupied)
-def _add_occupied(cell: Any, update: Any) -> Any:  # noqa: ANN401 - numba types
-    return _occupied_float64 if isinstance(cell, types.Float) else _occupied_int16

@@ -1,13 +1,15 @@
 """The occupancy map: scans and sensor poses in, snapshots out."""
 
-from ogm_core import beams, bresenham
-from ogm_core.errors import LimitReached, OutsideBounds
+import numpy as np
+
+from ogm_core.errors import LimitReached
+from ogm_core.evidence import Evidence, observe
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.projection import Ends, end_cells
+from ogm_core.logodds import Cells
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.strips import StripStore
-from ogm_core.types import Pose, Scan
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 
 class OccupancyGrid:
@@ -42,19 +44,42 @@ class OccupancyGrid:
         """What is served: the bounds, or else the smallest rectangle that holds every known cell."""
         return self.bounds or self._known or CellRect(0, 0, 0, 0)
 
-    def integrate(self, scan: Scan, pose: Pose) -> int:
+    def begin_with(self, cells: Cells) -> None:
+        """Fill an empty map: `cells` are stored cells, [iy, ix], the first one cell (0, 0) of the lattice.
+
+        The revision stays 0: it counts scans.
+
+        Raises:
+            LimitReached: they are more than the map may hold; no cell has changed.
+        """
+        height, width = cells.shape
+        rect = CellRect(0, 0, width, height)
+        if rect.cells > self.settings.max_cells:
+            raise LimitReached(
+                f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
+            )
+        store = StripStore(self.bounds or rect, self.model.dtype)
+        store.write(rect, cells)
+        if store.nbytes > self.settings.max_bytes:
+            raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
+        known = self.model.known(cells)
+        rows, columns = np.flatnonzero(known.any(axis=1)).tolist(), np.flatnonzero(known.any(axis=0)).tolist()
+        if rows:
+            ix, iy = columns[0], rows[0]
+            self._known = CellRect(ix, iy, columns[-1] - ix + 1, rows[-1] - iy + 1)
+        self._store = store
+
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Add a scan taken at the sensor's `pose` in the map frame; return the number of cell updates.
+
+        With a `sweep` every beam starts where the sensor was then (model `beam`), or the whole scan at mid
+        sweep (`sector`).
 
         Raises:
             LimitReached: it would stretch the map past a limit; no cell has changed.
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
-        ends, start = end_cells(scan, pose, self.lattice, self.settings)
-        if self.bounds is not None and self.settings.outside == "drop":
-            counted, dropped = beams.drop_outside(ends, *start, *self.bounds)
-            if counted and dropped == counted:
-                raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
-        updates = self._update(ends, start)
+        updates = self._update(observe(PlacedScan(scan, pose, sweep), self.lattice, self.settings))
         self.revision += 1
         self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
         self.cell_updates += updates
@@ -72,8 +97,8 @@ class OccupancyGrid:
             stamp=self.stamp,
         )
 
-    def _update(self, ends: Ends, start: tuple[int, int]) -> int:
-        updated = CellRect(*bresenham.extent(ends, *start))
+    def _update(self, evidence: Evidence) -> int:
+        updated = evidence.extent()
         if self.bounds is not None:
             updated = updated.intersection(self.bounds)
         if updated.cells == 0:
@@ -84,27 +109,22 @@ class OccupancyGrid:
         store = self._store
         if not store.rect.contains(updated):
             store = store.grown(updated)
-        # From here on cells are counted from the store's corner.
-        ends[0] -= store.rect.ix
-        ends[1] -= store.rect.iy
-        width, height = (self.bounds or store.rect)[2:]
-        beams_in_store = ends, start[0] - store.rect.ix, start[1] - store.rect.iy, width, height
-        self._check_bytes(store, updated, beams_in_store)
+        inside = self.bounds or store.rect
+        self._check_bytes(store, updated, evidence)
         if store is not self._store:
             store.take(self._store)
             self._store = store
-        store.tiles_used += bresenham.touch_tiles(*beams_in_store, store.touched, self.revision + 1)
-        updates = bresenham.update_cells(*beams_in_store, store.cells, store.column, self.model.update)
+        store.tiles_used += evidence.touch_tiles(store, inside, store.touched, self.revision + 1)
+        updates = evidence.update_cells(store, inside, self.model.update)
         self._known = known
-        return int(updates)
+        return updates
 
-    def _check_bytes(
-        self, store: StripStore, updated: CellRect, beams_in_store: tuple[Ends, int, int, int, int]
-    ) -> None:
+    def _check_bytes(self, store: StripStore, updated: CellRect, evidence: Evidence) -> None:
         """Refuse a scan whose tiles would exceed `max_bytes`: first by a cheap bound, then exactly."""
         room = (self.settings.max_bytes - store.nbytes) // store.tile_bytes
         if store.untouched_tiles(updated) <= room:
             return
-        fresh = bresenham.touch_tiles(*beams_in_store, store.touched.copy(), self.revision + 1)
+        inside = self.bounds or store.rect
+        fresh = evidence.touch_tiles(store, inside, store.touched.copy(), self.revision + 1)
         if fresh > room:
             raise LimitReached(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")

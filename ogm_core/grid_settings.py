@@ -9,6 +9,8 @@ from ogm_core.lattice import CellRect, Lattice, Region, bounded
 from ogm_core.logodds import LogOdds
 
 Outside = Literal["clip", "drop"]
+SensorModel = Literal["beam", "sector"]
+Traversal = Literal["bresenham", "dda"]
 
 DEFAULT_MAX_CELLS = 100_000_000
 DEFAULT_MAX_BYTES = 2 * 1024**3
@@ -18,10 +20,11 @@ DEFAULT_MAX_BYTES = 2 * 1024**3
 class GridSettings:
     """Settings of a map, checked against each other.
 
-    `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range` (no return
-    clears no farther) in metres; `bounds` in the map frame, None for an unbounded map. `outside`: what
-    happens to a beam that leaves the bounds. `max_cells` limits the known rectangle, `max_bytes` what the
-    map allocates.
+    `model` is what a cell keeps, `sensor` how a scan is read: beam by beam along a `traversal`, or as
+    sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
+    (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
+    lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. `max_cells` limits
+    the known rectangle, `max_bytes` what the map allocates.
 
     Raises:
         BadSetting: a value is out of range, or the bounds do not fit the resolution or `max_cells`.
@@ -29,10 +32,13 @@ class GridSettings:
 
     resolution: float = 0.05
     model: LogOdds = field(default_factory=LogOdds)
+    sensor: SensorModel = "beam"
+    traversal: Traversal = "bresenham"
     alpha: float = 0.1
     reach: float | None = None
     clear_range: float | None = None
     bounds: Region | None = None
+    anchor: tuple[float, float] = (0.0, 0.0)
     outside: Outside = "clip"
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
@@ -53,5 +59,5 @@ class GridSettings:
     def lattice(self) -> tuple[Lattice, CellRect | None]:
         """The map's lattice, and the cells of its bounds if it has any."""
         if self.bounds is None:
-            return Lattice(self.resolution), None
+            return Lattice(self.resolution, self.anchor), None
         return bounded(self.resolution, self.bounds)

@@ -7,7 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, NO_RETURN, SKIPPED, BeamModel, classify
-from ogm_core.bresenham import FRACTION_BITS, clipped_line
+from ogm_core.bresenham import FRACTION_BITS, clipped_line, counted_from
+from ogm_core.lattice import CellRect
 
 FREE, UNDECIDED, OCCUPIED = 1, 2, 3
 """Beliefs about a cell; 0 is unknown."""
@@ -17,24 +18,26 @@ FOUND_WALL, FOUND_NOTHING, FOUND_UNKNOWN = 0, 1, 2
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def agreement(
-    ends: NDArray[np.int64], i0: int, j0: int, beliefs: NDArray[np.uint8]
+    beams: NDArray[np.int64], window: CellRect, beliefs: NDArray[np.uint8]
 ) -> tuple[int, int, int, int]:
     """Hit end cells in the map and those believed occupied; traversed cells and those believed free.
 
-    Cells are counted from the lower-left one of `beliefs`, shape (h, w), [iy, ix]; others do not count. A
-    no return's end cell is a traversed one. Each beam counts its cells anew.
+    Traversed are the cells of Bresenham's line, whatever made the map, so that maps compare; a no return's
+    end cell is one of them. `beliefs`, [iy, ix], are those of the cells in `window`; others do not count.
+    Each beam counts its cells anew.
     """
     hits = occupied = passed = free = 0
-    height, width = beliefs.shape
-    for b in range(ends.shape[1]):
-        if ends[2, b] == SKIPPED:
+    for b in range(beams.shape[1]):
+        if beams[2, b] == SKIPPED:
             continue
-        i1, j1 = ends[0, b], ends[1, b]
-        along_i, si, sj, major, bias, step, first, last = clipped_line(i0, j0, i1, j1, width, height)
+        i0, j0, i1, j1 = counted_from(window, beams, b)
+        along_i, si, sj, major, bias, step, first, last = clipped_line(
+            i0, j0, i1, j1, window.width, window.height
+        )
         for k in range(first, last + 1):
             aside = (bias + k * step) >> FRACTION_BITS
             i, j = (i0 + si * k, j0 + sj * aside) if along_i else (i0 + si * aside, j0 + sj * k)
-            if k == major and ends[2, b] == HIT:
+            if k == major and beams[2, b] == HIT:
                 hits += 1
                 occupied += beliefs[j, i] == OCCUPIED
             else:
@@ -81,9 +84,7 @@ def cast_ray(
 def predict_ranges(
     ranges: NDArray[np.float32],
     beam: BeamModel,
-    u: float,
-    v: float,
-    theta: float,
+    sensor: NDArray[np.float64],
     resolution: float,
     shorter_than: float,
     longest: float,
@@ -91,7 +92,8 @@ def predict_ranges(
 ) -> NDArray[np.float64]:
     """Cast every beam that is a hit shorter than `shorter_than` m up to `longest` m through a map.
 
-    (u, v, theta) is the sensor's pose, in cells from the lower-left corner of `beliefs`. Returns shape
+    `sensor` holds the sensor's poses (u, v, theta), u and v in cells from the lower-left corner of `beliefs`:
+    shape (1, 3), or (N, 3) with one a beam. Returns shape
     (3, n): measured range in m, where the cast ray ends (see `cast_ray`), predicted range in m.
     """
     judged = np.empty((3, ranges.size))
@@ -101,8 +103,9 @@ def predict_ranges(
         kind, _ = classify(measured, beam)
         if kind in (SKIPPED, NO_RETURN) or measured >= shorter_than:
             continue
-        bearing = theta + (beam.angle_min + k * beam.angle_increment)
-        found, distance = cast_ray(u, v, bearing, longest / resolution, beliefs)
+        p = k if len(sensor) > 1 else 0
+        bearing = sensor[p, 2] + (beam.angle_min + k * beam.angle_increment)
+        found, distance = cast_ray(sensor[p, 0], sensor[p, 1], bearing, longest / resolution, beliefs)
         judged[0, n], judged[1, n], judged[2, n] = measured, found, distance * resolution
         n += 1
     return judged[:, :n].copy()

@@ -1,6 +1,7 @@
 """A scan at its sensor's pose, projected onto a map's lattice: the kernels of ogm_core.beams, by name."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +10,19 @@ from ogm_core import beams
 from ogm_core.errors import BadParameter, LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.types import Pose, Ranges, Scan
+from ogm_core.types import PlacedScan, Ranges, Scan
 
-Ends = NDArray[np.int64]
-"""End cell (ix, iy) and kind of every beam of a scan, shape (3, N)."""
+
+class Beams(NamedTuple):
+    """The beams of a scan on a lattice.
+
+    `cells` is int64, shape (5, N): the end cell's ix and iy, the kind, the start cell's ix and iy; a skipped
+    beam has its kind only. `lines` is float64, shape (4, N), or (4, 0) where nobody needs it: the start
+    point within its cell, in [0, 1), and the vector from there to the end point, in cells.
+    """
+
+    cells: NDArray[np.int64]
+    lines: NDArray[np.float64]
 
 
 def beam_model(scan: Scan, settings: GridSettings) -> beams.BeamModel:
@@ -28,31 +38,33 @@ def beam_model(scan: Scan, settings: GridSettings) -> beams.BeamModel:
     )
 
 
-def end_cells(
-    scan: Scan, pose: Pose, lattice: Lattice, settings: GridSettings
-) -> tuple[Ends, tuple[int, int]]:
-    """End cells of a scan taken at the sensor's `pose` in the map frame, and the sensor's own cell.
+def sensor_poses(placed: PlacedScan) -> NDArray[np.float64]:
+    """The sensor's poses in the map frame: shape (N, 3) if its sweep is known, else (1, 3)."""
+    return np.array([placed.pose], np.float64) if placed.sweep is None else placed.sweep.beams
+
+
+def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exact: bool = False) -> Beams:
+    """Project a placed scan onto a lattice; with its lines if they are to be `exact`.
 
     Raises:
         LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
     """
     try:
-        start = lattice.cell_of(pose.x, pose.y)
+        lattice.cell_of(placed.pose.x, placed.pose.y)
     except BadParameter as error:
         raise LimitReached(f"the sensor is out of reach: {error}") from error
-    addressed, ends = beams.end_cells(
-        read_only(scan.ranges),
-        beam_model(scan, settings),
-        float(pose.x),
-        float(pose.y),
-        float(pose.theta),
+    addressed, cells, lines = beams.project(
+        read_only(placed.scan.ranges),
+        beam_model(placed.scan, settings),
+        sensor_poses(placed),
         float(lattice.anchor[0]),
         float(lattice.anchor[1]),
         float(lattice.resolution),
+        exact,
     )
     if not addressed:
         raise LimitReached("a beam ends farther away than cells can be addressed")
-    return ends, start
+    return Beams(cells, lines)
 
 
 def read_only(ranges: Ranges) -> Ranges:

@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 from ogm_core import beams, judge
 from ogm_core.grid_settings import GridSettings
 from ogm_core.logodds import FREE_BELOW, OCCUPIED_ABOVE, row_bands
-from ogm_core.projection import beam_model, end_cells, read_only
+from ogm_core.projection import beam_model, project, read_only, sensor_poses
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.types import Pose, Scan
-
-PlacedScan = tuple[Scan, Pose]
-"""A scan and the pose of its sensor in the map frame."""
+from ogm_core.types import PlacedScan
 
 JUDGED_SHORTER_THAN = 15.0
 CAST_UP_TO = 25.0
@@ -61,15 +58,12 @@ class Consistency:
         """The bounds, if beams that leave them are not in the map."""
         self._counts = np.zeros(4, np.int64)
 
-    def add(self, scan: Scan, pose: Pose) -> None:
-        """Judge a scan that was integrated at the sensor's `pose`."""
-        ends, (i0, j0) = end_cells(scan, pose, self._snapshot.lattice, self._settings)
+    def add(self, placed: PlacedScan) -> None:
+        """Judge a scan that was integrated."""
+        cells = project(placed, self._snapshot.lattice, self._settings).cells
         if self._dropping is not None:
-            beams.drop_outside(ends, i0, j0, *self._dropping)
-        ix, iy = self._snapshot.offset
-        ends[0] -= ix
-        ends[1] -= iy
-        self._counts += judge.agreement(ends, i0 - ix, j0 - iy, self._beliefs)
+            beams.drop_outside(cells, *self._dropping)
+        self._counts += judge.agreement(cells, self._snapshot.rect, self._beliefs)
 
     def figures(self) -> dict[str, float | None]:
         """The shares, None where nothing was judged."""
@@ -85,7 +79,7 @@ def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[Plac
     are of all judged beams, the median error is of those that found a wall.
     """
     beliefs = _decided(snapshot)
-    parts = [_predict(snapshot, settings, beliefs, scan, pose) for scan, pose in scans]
+    parts = [_predict(snapshot, settings, beliefs, placed) for placed in scans]
     measured, found, predicted = np.concatenate([np.empty((3, 0)), *parts], axis=1)
     error = np.abs(predicted - measured)
     walls = found == judge.FOUND_WALL
@@ -138,18 +132,15 @@ def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
 
 
 def _predict(
-    snapshot: MapSnapshot, settings: GridSettings, beliefs: NDArray[np.uint8], scan: Scan, pose: Pose
+    snapshot: MapSnapshot, settings: GridSettings, beliefs: NDArray[np.uint8], placed: PlacedScan
 ) -> NDArray[np.float64]:
     resolution = snapshot.lattice.resolution
-    anchor, offset = snapshot.lattice.anchor, snapshot.offset
-    u = (pose.x - anchor[0]) / resolution - offset[0]
-    v = (pose.y - anchor[1]) / resolution - offset[1]
+    sensor = sensor_poses(placed).copy()
+    sensor[:, :2] = (sensor[:, :2] - snapshot.lattice.anchor) / resolution - snapshot.offset
     judged: NDArray[np.float64] = judge.predict_ranges(
-        read_only(scan.ranges),
-        beam_model(scan, settings),
-        u,
-        v,
-        float(pose.theta),
+        read_only(placed.scan.ranges),
+        beam_model(placed.scan, settings),
+        sensor,
         float(resolution),
         JUDGED_SHORTER_THAN,
         CAST_UP_TO,

@@ -97,6 +97,26 @@ class StripStore:
         if hasattr(mmap, "MADV_DONTNEED") and (tx * size) % mmap.PAGESIZE == 0:
             self._memory.madvise(mmap.MADV_DONTNEED, tx * size, size)
 
+    def write(self, rect: CellRect, dense: NDArray[Any]) -> None:
+        """Put the cells of `rect`, which lies inside, in place: shape (height, width), [iy, ix].
+
+        Only tiles in which a cell is not 0 are written; their revision is that of a first scan.
+        """
+        left, bottom = rect.ix - self.rect.ix, rect.iy - self.rect.iy
+        tiles = self.cells.reshape(*self.touched.shape, TILE, TILE)
+        for tx, ty in np.ndindex(*self.touched.shape):
+            west, south = max(left, tx * TILE), max(bottom, ty * TILE)
+            east = min(left + rect.width, (tx + 1) * TILE)
+            north = min(bottom + rect.height, (ty + 1) * TILE)
+            if west >= east or south >= north:
+                continue
+            part = dense[south - bottom : north - bottom, west - left : east - left]
+            if not part.view(f"i{part.itemsize}").any():
+                continue
+            tiles[tx, ty, south - ty * TILE : north - ty * TILE, west - tx * TILE : east - tx * TILE] = part
+            self.tiles_used += int(self.touched[tx, ty] == 0)
+            self.touched[tx, ty] = 1
+
     def _tile_of(self, other: "StripStore") -> tuple[int, int]:
         """Tile of this store that holds the lower-left cell of `other`."""
         return (other.rect.ix - self.rect.ix) // TILE, (other.rect.iy - self.rect.iy) // TILE

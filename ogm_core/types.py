@@ -75,3 +75,22 @@ class Scan:
     def end_stamp(self) -> int:
         """Time of the last beam, ns since the Unix epoch."""
         return self.stamp + round((self.ranges.size - 1) * self.time_increment * 1e9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweep:
+    """Where the sensor was while a scan swept: its pose in the map frame at mid sweep, and at every beam.
+
+    `beams` is float64, shape (N, 3): x and y in m, theta in rad.
+    """
+
+    middle: Pose
+    beams: NDArray[np.float64]
+
+
+class PlacedScan(NamedTuple):
+    """A scan, its sensor's pose in the map frame at its stamp, and the sweep where the motion is known."""
+
+    scan: Scan
+    pose: Pose
+    sweep: Sweep | None = None

@@ -15,11 +15,14 @@ class Sink:
 
     def __init__(self, refusals=None):
         self.placed = []
+        self.sweeps = {}
         self.refusals = refusals or {}
 
-    def integrate(self, scan, pose):
+    def integrate(self, scan, pose, sweep=None):
         if scan.seq in self.refusals:
             raise self.refusals[scan.seq]
+        if sweep is not None:
+            self.sweeps[scan.seq] = sweep
         self.placed.append((scan.seq, pose))
         return 0
 

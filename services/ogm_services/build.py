@@ -12,9 +12,9 @@ import typer
 
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
-from ogm_core.quality import Consistency, PlacedScan, held_out, quality_figures
+from ogm_core.quality import Consistency, held_out, quality_figures
 from ogm_core.recordings import RecordedScan, RecordingReader
-from ogm_core.types import Pose, Scan
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.mapper import Mapper, ScanSink
 from ogm_services.output import write_map
@@ -79,14 +79,14 @@ class _MapPass(_Pass):
     accepted: list[bool] = field(default_factory=list)
     """Of every scan that was placed and not held out, in order: whether the map took it."""
 
-    def integrate(self, scan: Scan, pose: Pose) -> int:
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Put a scan into the map, or aside."""
         if scan in self.withheld:
             self.withheld.remove(scan)
-            self.held.append((scan, pose))
+            self.held.append(PlacedScan(scan, pose, sweep))
             return 0
         self.accepted.append(False)
-        updates = self.grid.integrate(scan, pose)
+        updates = self.grid.integrate(scan, pose, sweep)
         self.accepted[-1] = True
         return updates
 
@@ -99,12 +99,12 @@ class _JudgePass(_Pass):
     accepted: Iterator[bool]
     withheld: set[Scan] = field(default_factory=set)
 
-    def integrate(self, scan: Scan, pose: Pose) -> int:
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Judge a scan, if the map took it."""
         if scan in self.withheld:
             self.withheld.remove(scan)
         elif next(self.accepted):
-            self.consistency.add(scan, pose)
+            self.consistency.add(PlacedScan(scan, pose, sweep))
         return 0
 
 

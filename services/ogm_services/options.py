@@ -14,9 +14,9 @@ from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 import typer
 
-from ogm_core.grid_settings import Outside
+from ogm_core.grid_settings import Outside, SensorModel, Traversal
 from ogm_core.logodds import CellType
-from ogm_services.setting_values import LOOPBACK, Preset, SensorModel, Traversal
+from ogm_services.setting_values import LOOPBACK, Preset
 from ogm_services.settings import Settings, flag_name, load_settings
 
 PANELS = {"map": "Map", "network": "Network", "http": "HTTP"}

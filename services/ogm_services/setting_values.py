@@ -11,9 +11,6 @@ LOOPBACK = "tcp/127.0.0.1:7447"
 """Where a mapper listens, and everyone else looks for it, if nothing else is said."""
 
 Preset = Literal["lab"]
-# The area model "sector" and the traversal "dda" join these two when the core has them.
-SensorModel = Literal["beam"]
-Traversal = Literal["bresenham"]
 
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "lab": {

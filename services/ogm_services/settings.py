@@ -23,7 +23,14 @@ from pydantic import (
 from pydantic_core import ErrorDetails
 
 from ogm_core.errors import BadSetting
-from ogm_core.grid_settings import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, GridSettings, Outside
+from ogm_core.grid_settings import (
+    DEFAULT_MAX_BYTES,
+    DEFAULT_MAX_CELLS,
+    GridSettings,
+    Outside,
+    SensorModel,
+    Traversal,
+)
 from ogm_core.keys import check_name
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.logodds import CellType, LogOdds
@@ -40,8 +47,6 @@ from ogm_services.setting_values import (
     Positive,
     Preset,
     Probability,
-    SensorModel,
-    Traversal,
     WholeNumber,
 )
 
@@ -162,6 +167,8 @@ class Settings(BaseModel):
         return GridSettings(
             resolution=self.map.resolution,
             model=self.map.log_odds(),
+            sensor=self.map.model,
+            traversal=self.map.traversal,
             alpha=self.map.alpha,
             reach=self.map.reach,
             clear_range=self.map.clear_range,

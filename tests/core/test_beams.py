@@ -12,8 +12,8 @@ from ogm_core.beams import HIT, NO_RETURN, SKIPPED
 from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.projection import end_cells
-from ogm_core.types import Pose, Scan
+from ogm_core.projection import project
+from ogm_core.types import PlacedScan, Pose, Scan
 
 NAN, INF = math.nan, math.inf
 R_MIN, R_MAX, ALPHA = 0.5, 8.0, 0.25
@@ -26,6 +26,11 @@ NO_EVIDENCE = SKIPPED, 0.0
 def scan_of(ranges, **changes):
     values = {"stamp": 1, "angle_min": -1.0, "angle_increment": 0.3, "range_min": 0.0, "range_max": R_MAX}
     return Scan(**{**values, "ranges": np.asarray(ranges, np.float32), **changes})
+
+
+def cells_of(scan, pose, lattice, settings):
+    """End cell and kind of every beam, and its start cell: five rows."""
+    return project(PlacedScan(scan, pose), lattice, settings).cells
 
 
 def classify(r, range_min, range_max, alpha, clear_range, reach):
@@ -103,24 +108,24 @@ def test_end_cells_are_the_cells_of_the_end_points(increment, anchor, theta):
     ranges = rng.uniform(0.1, 9, 500).astype(np.float32)
     ranges[::50] = NAN
     scan = scan_of(ranges, angle_min=-1.06, angle_increment=increment)
-    ends, start = end_cells(scan, pose, lattice, GridSettings(alpha=0.2, clear_range=5.0, reach=7.0))
-    assert start == lattice.cell_of(pose.x, pose.y)
+    ends = cells_of(scan, pose, lattice, GridSettings(alpha=0.2, clear_range=5.0, reach=7.0))
+    start = lattice.cell_of(pose.x, pose.y)
     assert {0, 1, 2} == set(ends[2].tolist())
     for k, reading in enumerate(ranges.tolist()):
         beam = naive.classify(reading, 0.0, R_MAX, 0.2, 5.0, 7.0)
         if beam is None:
-            assert ends[:, k].tolist() == [0, 0, SKIPPED]
+            assert ends[:, k].tolist() == [0, 0, SKIPPED, 0, 0]
             continue
         hit, length = beam
         bearing = pose.theta + (scan.angle_min + k * increment)
         end = lattice.cell_of(pose.x + length * math.cos(bearing), pose.y + length * math.sin(bearing))
-        assert ends[:, k].tolist() == [*end, HIT if hit else NO_RETURN]
+        assert ends[:, k].tolist() == [*end, HIT if hit else NO_RETURN, *start]
 
 
 def test_metres_are_divided_into_cells():
     # 0.05 + 0.25 is 0.3, and 0.3 / 0.1 just below 3; times 1 / 0.1 it would be 3.
     scan = scan_of([0.25, 0.25], angle_min=0.0, angle_increment=math.pi / 2)
-    ends, _ = end_cells(scan, Pose(0.05, 0.05, 0.0), Lattice(0.1), GridSettings())
+    ends = cells_of(scan, Pose(0.05, 0.05, 0.0), Lattice(0.1), GridSettings())
     assert ends[:2].tolist() == [[2, 0], [0, 2]]
 
 
@@ -130,10 +135,10 @@ def test_ranges_are_read_whatever_their_layout():
     wide[:, 1] = straight
     misaligned = np.frombuffer(b"x" + straight.tobytes(), np.float32, offset=1)
     settings, pose = GridSettings(), Pose(0.3, 0.2, 0.1)
-    expected, _ = end_cells(scan_of(straight), pose, Lattice(0.1), settings)
+    expected = cells_of(scan_of(straight), pose, Lattice(0.1), settings)
     for ranges in (straight[::-1].copy()[::-1], wide[:, 1], misaligned, straight.astype(">f4")):
         scan = Scan(1, -1.0, 0.3, 0.0, R_MAX, ranges)
-        assert np.array_equal(end_cells(scan, pose, Lattice(0.1), settings)[0], expected)
+        assert np.array_equal(cells_of(scan, pose, Lattice(0.1), settings), expected)
 
 
 @pytest.mark.parametrize(
@@ -152,20 +157,20 @@ def test_ranges_are_read_whatever_their_layout():
 )
 def test_what_has_no_cell_is_a_limit(scan, pose):
     with pytest.raises(LimitReached):
-        end_cells(scan, pose, Lattice(0.05), GridSettings())
+        cells_of(scan, pose, Lattice(0.05), GridSettings())
 
 
 def test_a_skipped_beam_need_not_have_a_cell():
     scan = scan_of([1.0, NAN], angle_min=0.0, angle_increment=INF)
-    ends, _ = end_cells(scan_of([NAN], angle_min=INF), Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
-    assert ends.tolist() == [[0], [0], [SKIPPED]]
+    ends = cells_of(scan_of([NAN], angle_min=INF), Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
+    assert ends.tolist() == [[0], [0], [SKIPPED], [0], [0]]
     with pytest.raises(LimitReached):  # 0 * inf
-        end_cells(scan, Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
+        cells_of(scan, Pose(0.0, 0.0, 0.0), Lattice(0.05), GridSettings())
 
 
 def kinds_after(ends, start, rect):
-    ends = np.array(ends, np.int64).T.copy()
-    return beams.drop_outside(ends, *start, *rect), ends[2].tolist()
+    cells = np.array([(*end, *start) for end in ends], np.int64).T.copy()
+    return beams.drop_outside(cells, *rect), cells[2].tolist()
 
 
 def test_drop_outside_keeps_only_beams_that_end_inside():
@@ -197,7 +202,7 @@ def test_false_hits_near_range_max_fall_as_the_thickness_grows_over_the_noise():
     shares = []
     for ratio in (0, 1, 2, 3, 4, 6):
         settings = GridSettings(alpha=ratio * sigma)
-        ends, _ = end_cells(scan_of(readings), Pose(0.0, 0.0, 0.0), Lattice(0.1), settings)
+        ends = cells_of(scan_of(readings), Pose(0.0, 0.0, 0.0), Lattice(0.1), settings)
         shares.append(np.count_nonzero(ends[2] == HIT) / beam_count)
         expected = 0.5 * math.erfc(ratio / 2 / math.sqrt(2))  # noise below -alpha / 2
         assert shares[-1] == pytest.approx(expected, abs=5 * math.sqrt(expected / beam_count))

@@ -8,6 +8,7 @@ import pytest
 import naive
 from ogm_core import bresenham
 from ogm_core.beams import HIT, NO_RETURN, SKIPPED
+from ogm_core.lattice import CellRect
 
 LONGEST = 1_482_910
 """The largest M below 2^20.5."""
@@ -17,10 +18,11 @@ def closed_form(major, minor, k):
     return (2 * k * minor + major - 1) // (2 * major)
 
 
-def ends_of(cells, kinds=None):
-    """End cells as the kernels take them."""
+def beams_of(start, cells, kinds=None):
+    """Beams from one cell to others, as the kernels take them."""
     kinds = [HIT] * len(cells) if kinds is None else kinds
-    return np.array([[i for i, _ in cells], [j for _, j in cells], kinds], np.int64)
+    rows = [(*end, kind, *start) for end, kind in zip(cells, kinds, strict=True)]
+    return np.array(rows, np.int64).T.copy()
 
 
 def random_cells(rng, low, high, count):
@@ -145,7 +147,7 @@ def test_extent_of_one_beam():
     cells = list(itertools.product(range(-4, 5), repeat=2))
     for end in cells:
         start = (2, -1)
-        assert bresenham.extent(ends_of([end]), *start) == box(path(start, end)), end
+        assert bresenham.extent(beams_of(start, [end])) == box(path(start, end)), end
 
 
 def test_extent_of_many_beams_leaves_out_what_is_skipped_and_what_ends_where_it_starts():
@@ -156,7 +158,7 @@ def test_extent_of_many_beams_leaves_out_what_is_skipped_and_what_ends_where_it_
         cells[0] = start
         used = [end for end, kind in zip(cells, kinds, strict=True) if kind != SKIPPED]
         expected = box([cell for end in used for cell in path(start, end)])
-        assert bresenham.extent(ends_of(cells, kinds), *start) == expected
+        assert bresenham.extent(beams_of(start, cells, kinds)) == expected
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 640), (-500, 1100)])
@@ -173,16 +175,18 @@ def test_touched_tiles_are_those_of_the_cells(low, high):
             (i // 64, j // 64) for end in used for i, j in path(start, end) if inside((i, j), width, height)
         }
         touched = np.zeros((10, 7), np.int64)
-        fresh = bresenham.touch_tiles(ends_of(cells, kinds), *start, width, height, touched, 9)
+        window = CellRect(0, 0, width, height)
+        fresh = bresenham.touch_tiles(beams_of(start, cells, kinds), window, touched, 9)
         assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
         assert fresh == len(tiles)
 
 
 def test_a_tile_is_fresh_once():
     touched = np.zeros((3, 1), np.int64)
-    beam = ends_of([(100, 5)]), 10, 5, 192, 64
-    assert bresenham.touch_tiles(*beam, touched, 1) == 2
-    assert bresenham.touch_tiles(*beam, touched, 2) == 0
+    window = CellRect(0, 0, 192, 64)
+    beam = beams_of((10, 5), [(100, 5)])
+    assert bresenham.touch_tiles(beam, window, touched, 1) == 2
+    assert bresenham.touch_tiles(beam, window, touched, 2) == 0
     assert touched.ravel().tolist() == [2, 2, 0]
-    assert bresenham.touch_tiles(ends_of([(190, 5)]), 100, 5, 192, 64, touched, 3) == 1
+    assert bresenham.touch_tiles(beams_of((100, 5), [(190, 5)]), window, touched, 3) == 1
     assert touched.ravel().tolist() == [2, 3, 3]

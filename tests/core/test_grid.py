@@ -226,8 +226,8 @@ def test_without_clamping_evidence_adds_up(cells):
     for _ in range(15):
         scan, pose = random_scan(rng), Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
         grid.integrate(scan, pose)
-        for start, end, hit in naive.observed(scan, pose, grid.settings):
-            for cell, occupied in naive.evidence(start, end, hit):
+        for start, end, hit, line in naive.observed(scan, pose, grid.settings):
+            for cell, occupied in naive.evidence(start, end, hit, line):
                 counts[occupied][cell] += 1
     log_odds = model.log_odds(grid.snapshot().cells)
     # An increment is rounded to half a step; a float64 sum loses next to nothing.

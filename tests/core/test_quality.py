@@ -14,7 +14,7 @@ from ogm_core.lattice import Lattice, Region
 from ogm_core.logodds import LogOdds
 from ogm_core.quality import DECIDED, Consistency, held_out, map_figures
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.types import Pose, Scan
+from ogm_core.types import PlacedScan, Pose, Scan
 
 NAN, INF = math.nan, math.inf
 BOTH = pytest.mark.parametrize("cells", ["int16", "float64"])
@@ -108,10 +108,10 @@ def naive_consistency(snapshot, placed, settings):
     ends, passed = [], []
     inside = naive.Map(settings).inside
     for scan, pose in placed:
-        for start, end, hit in naive.observed(scan, pose, settings):
+        for start, end, hit, line in naive.observed(scan, pose, settings):
             if settings.outside == "drop" and not (inside(start) and inside(end)):
                 continue
-            for (i, j), occupied in naive.evidence(start, end, hit):
+            for (i, j), occupied in naive.evidence(start, end, hit, line):
                 if ix <= i < ix + snapshot.width and iy <= j < iy + snapshot.height:
                     (ends if occupied else passed).append(p[j - iy, i - ix])
     return {"hits": np.mean(np.array(ends) > 0.5), "free": np.mean(np.array(passed) < 0.5)}
@@ -132,7 +132,7 @@ def test_consistency_is_that_of_every_cell_of_every_beam(cells, changes):
     snapshot = grid.snapshot()
     consistency = Consistency(snapshot, grid.settings)
     for scan, pose in placed:
-        consistency.add(scan, pose)
+        consistency.add(PlacedScan(scan, pose))
     expected = naive_consistency(snapshot, placed, grid.settings)
     assert consistency.figures() == pytest.approx(expected, abs=1e-12)
     assert 0.01 < expected["hits"] < 0.95
@@ -142,7 +142,7 @@ def test_consistency_is_that_of_every_cell_of_every_beam(cells, changes):
 def test_consistency_counts_each_beam_anew_and_one_half_as_neither():
     settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
     consistency = Consistency(snapshot_of([[1.0, -1.0, -0.0, 1.0]], settings.model), settings)
-    consistency.add(scan_of([1.5, 1.5, 1.0], angle_increment=1e-9), Pose(0.25, 0.25, 0.0))
+    consistency.add(PlacedScan(scan_of([1.5, 1.5, 1.0], angle_increment=1e-9), Pose(0.25, 0.25, 0.0)))
     # Hits: cell 3 twice, and cell 2 at one half. Passed: cell 1 three times, cell 2 twice at one half.
     assert consistency.figures() == pytest.approx({"hits": 2 / 3, "free": 3 / 5})
 
@@ -159,7 +159,7 @@ def test_nothing_judged_gives_none():
     }
     consistency = Consistency(empty, settings)
     assert consistency.figures() == {"hits": None, "free": None}
-    consistency.add(scan_of([3.0, INF]), Pose(0, 0, 0))
+    consistency.add(PlacedScan(scan_of([3.0, INF]), Pose(0, 0, 0)))
     assert consistency.figures() == {"hits": None, "free": None}
     nothing = {
         "beams": 0,
@@ -169,13 +169,13 @@ def test_nothing_judged_gives_none():
         "into_unknown": None,
     }
     assert held_out(empty, settings, []) == nothing
-    assert held_out(empty, settings, [(scan_of([NAN, INF, 15.0, 0.0]), Pose(0, 0, 0))]) == nothing
+    assert held_out(empty, settings, [PlacedScan(scan_of([NAN, INF, 15.0, 0.0]), Pose(0, 0, 0))]) == nothing
 
 
 def test_in_an_empty_map_every_beam_ends_in_the_unknown():
     settings = GridSettings(resolution=0.5)
     figures = held_out(
-        OccupancyGrid(settings, "e").snapshot(), settings, [(scan_of([3.0, 4.0]), Pose(0, 0, 0))]
+        OccupancyGrid(settings, "e").snapshot(), settings, [PlacedScan(scan_of([3.0, 4.0]), Pose(0, 0, 0))]
     )
     assert figures == {
         "beams": 2,
@@ -202,7 +202,7 @@ CORRIDOR = [[-2.0] * 20 + [2.0]] * 3
 def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
     settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
     snapshot = snapshot_of(CORRIDOR, settings.model)
-    figures = held_out(snapshot, settings, [(scan_of([measured]), Pose(x, 0.75, theta))])
+    figures = held_out(snapshot, settings, [PlacedScan(scan_of([measured]), Pose(x, 0.75, theta))])
     assert figures["median_abs_m"] == pytest.approx(error, abs=1e-6)
     assert (figures["beams"], figures["into_unknown"]) == (1, 0.0)
     assert figures["within_0_2_m"] == float(error <= 0.2)
@@ -222,7 +222,9 @@ def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
 def test_what_is_not_clearly_free_stops_a_ray(cell, found):
     settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
     row = [[-2.0] * 8 + [cell] + [-2.0] * 11 + [2.0]]
-    figures = held_out(snapshot_of(row, settings.model), settings, [(scan_of([3.75]), Pose(0.25, 0.25, 0.0))])
+    figures = held_out(
+        snapshot_of(row, settings.model), settings, [PlacedScan(scan_of([3.75]), Pose(0.25, 0.25, 0.0))]
+    )
     assert figures["into_unknown"] == float(found == "unknown")
     assert figures["within_0_1_m"] == float(found == "wall")
     assert figures["median_abs_m"] == {"unknown": None, "wall": 0.0, "free": 6.0}[found]
@@ -233,14 +235,16 @@ def test_a_cell_is_decided_relative_to_the_prior():
     assert model.l0 == pytest.approx(-1.0986, abs=1e-4)
     settings = GridSettings(resolution=0.5, model=model)
     row = [[-2.0, -2.0, -2.0, -0.4]]  # -0.4 is 0.7 above the prior
-    figures = held_out(snapshot_of(row, model), settings, [(scan_of([1.25]), Pose(0.25, 0.25, 0.0))])
+    figures = held_out(
+        snapshot_of(row, model), settings, [PlacedScan(scan_of([1.25]), Pose(0.25, 0.25, 0.0))]
+    )
     assert figures["median_abs_m"] == 0.0
 
 
 def test_a_ray_is_cast_no_farther_than_25_m():
     settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
     row = [[-2.0] * 60 + [2.0]]
-    scans = [(scan_of([3.0]), Pose(x, 0.25, 0.0)) for x in (0.25, 4.99, 5.01, 16.0)]
+    scans = [PlacedScan(scan_of([3.0]), Pose(x, 0.25, 0.0)) for x in (0.25, 4.99, 5.01, 16.0)]
     figures = held_out(snapshot_of(row, settings.model), settings, scans)
     # The wall is at 30 m: the first two find nothing, the others are 21.99 m and 11 m off.
     assert (figures["beams"], figures["into_unknown"]) == (4, 0.0)
@@ -259,7 +263,7 @@ def naive_held_out(snapshot, settings, placed):
         return "wall" if evidence[j, i] > 0.6 else "free"
 
     found, errors = [], []
-    for scan, pose in placed:
+    for scan, pose, _ in placed:
         for k, r in enumerate(scan.ranges.tolist()):
             reach = settings.reach or INF
             beam = naive.classify(r, scan.range_min, scan.range_max, settings.alpha, reach=reach)
@@ -284,8 +288,8 @@ def naive_held_out(snapshot, settings, placed):
 @pytest.mark.parametrize("changes", [{}, {"resolution": 0.3}, {"reach": 12.0}])
 def test_held_out_is_that_of_every_crossing_of_every_ray(cells, changes):
     grid, _, rng = random_map(cells, 3, scans=40, longest=6.0, **changes)
-    others = [(random_scan(rng, 20.0), random_pose(rng)) for _ in range(40)]
-    others += [(random_scan(rng, 6.0), Pose(*rng.uniform(-9, 9, 2), 0.0)) for _ in range(10)]
+    others = [PlacedScan(random_scan(rng, 20.0), random_pose(rng)) for _ in range(40)]
+    others += [PlacedScan(random_scan(rng, 6.0), Pose(*rng.uniform(-9, 9, 2), 0.0)) for _ in range(10)]
     figures = held_out(grid.snapshot(), grid.settings, others)
     assert figures == pytest.approx(naive_held_out(grid.snapshot(), grid.settings, others), rel=1e-9)
     assert figures["beams"] > 1000

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core import beams, bresenham, judge
+from ogm_core import beams, bresenham, dda, judge, sector, star
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
@@ -15,11 +15,19 @@ from ogm_services.mapper.live_map import LiveMap
 from ogm_services.mapper.service import OccupancyGrid, warm_up
 
 KERNELS = (
-    beams.end_cells,
+    beams.project,
     beams.drop_outside,
     bresenham.extent,
     bresenham.touch_tiles,
     bresenham.update_cells,
+    dda.extent,
+    dda.touch_tiles,
+    dda.update_cells,
+    star._star,
+    sector.spans,
+    sector.extent,
+    sector.touch_tiles,
+    sector.update_cells,
     judge.agreement,
 )
 
@@ -31,8 +39,9 @@ def compiled():
 @pytest.mark.parametrize("outside", ["clip", "drop"])
 @pytest.mark.parametrize("cells", ["int16", "float64"])
 @pytest.mark.parametrize("bounds", [None, Region(-3, -2, 3, 2)])
-def test_afterwards_nothing_is_compiled(bounds, cells, outside):
-    settings = GridSettings(0.1, LogOdds(cells), bounds=bounds, outside=outside)
+@pytest.mark.parametrize(("sensor", "traversal"), [("beam", "bresenham"), ("beam", "dda"), ("sector", "dda")])
+def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outside):
+    settings = GridSettings(0.1, LogOdds(cells), sensor, traversal, bounds=bounds, outside=outside)
     warm_up(settings)
     before = compiled()
     live_map = LiveMap(OccupancyGrid(settings))
@@ -52,6 +61,7 @@ def test_afterwards_nothing_is_compiled(bounds, cells, outside):
         GridSettings(reach=1e-3, clear_range=0.0, max_bytes=1, max_cells=1),
         GridSettings(resolution=0.001, model=LogOdds(p_free=0.499)),
         GridSettings(resolution=1e6),
+        GridSettings(sensor="sector", alpha=0.0),
     ],
     ids=lambda settings: f"{settings.resolution:g} m, {settings.bounds}, alpha {settings.alpha:g}",
 )

@@ -10,9 +10,9 @@ import numpy as np
 
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
-from ogm_core.quality import Consistency, PlacedScan, quality_figures
+from ogm_core.quality import Consistency, quality_figures
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.types import Pose, Scan
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
@@ -38,14 +38,14 @@ class LiveMap:
         self._known_cells = _Figure()
         self._quality = _Figure()
 
-    def integrate(self, scan: Scan, pose: Pose) -> int:
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
             try:
-                updates = self._grid.integrate(scan, pose)
+                updates = self._grid.integrate(scan, pose, sweep)
             except MemoryError as error:
                 raise LimitReached("the system has no memory left for the map") from error
-            self._recent.append((scan, pose))
+            self._recent.append(PlacedScan(scan, pose, sweep))
             return updates
 
     def reset(self, epoch: str) -> None:
@@ -98,8 +98,8 @@ class LiveMap:
             snapshot = self._current_snapshot()
             recent, updates = list(self._recent), self._grid.cell_updates
         consistency = Consistency(snapshot, self._grid.settings)
-        for scan, pose in recent:
-            consistency.add(scan, pose)
+        for placed in recent:
+            consistency.add(placed)
         return quality_figures(snapshot, consistency, updates)
 
     def _figure(self, cached: "_Figure", compute: Callable[[], Any]) -> Any:  # noqa: ANN401

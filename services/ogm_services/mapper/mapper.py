@@ -6,7 +6,7 @@ from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused
 from ogm_core.poses import PoseHistory
-from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 from ogm_services.limited_log import LimitedLog
 from ogm_services.mapper.ledger import DropReason, Ledger
 
@@ -24,8 +24,11 @@ log = logging.getLogger(__name__)
 class ScanSink(Protocol):
     """Where placed scans go: an `OccupancyGrid`, or something that stands in for one."""
 
-    def integrate(self, scan: Scan, pose: Pose) -> int:
-        """Take a scan at its sensor's pose in the map frame; raise ScanRefused to refuse it."""
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+        """Take a scan at its sensor's pose in the map frame; raise ScanRefused to refuse it.
+
+        `sweep`: the sensor's pose at every beam, where beams were taken one after the other.
+        """
         ...
 
 
@@ -131,14 +134,15 @@ class Mapper:
             self._drop(name, sensor, "stale")
             return
         pose = robot.poses.at(scan.stamp)
-        if pose is None:
+        sweep = None if scan.time_increment == 0.0 else robot.poses.along(scan)
+        if pose is None or (sweep is None and scan.time_increment != 0.0):
             self._drop(name, sensor, "no_pose")
         else:
-            self._integrate(name, sensor, scan, pose)
+            self._integrate(name, sensor, scan, pose, sweep)
 
-    def _integrate(self, name: str, sensor: str, scan: Scan, base: Pose) -> None:
+    def _integrate(self, name: str, sensor: str, scan: Scan, base: Pose, sweep: Sweep | None = None) -> None:
         try:
-            self._sink.integrate(scan, base.compose(scan.mount))
+            self._sink.integrate(scan, base.compose(scan.mount), sweep)
         except ScanRefused as refusal:
             self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         else:

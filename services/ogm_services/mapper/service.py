@@ -183,7 +183,14 @@ def warm_up(settings: GridSettings) -> None:
     """Load or compile every kernel that a live map needs, on a small map of the same kind."""
     side = 64.0 * settings.resolution
     bounds = None if settings.bounds is None else Region(0.0, 0.0, side, side)
-    small = GridSettings(settings.resolution, settings.model, 0.0, bounds=bounds, outside=settings.outside)
+    small = GridSettings(
+        settings.resolution,
+        settings.model,
+        settings.sensor,
+        settings.traversal,
+        bounds=bounds,
+        outside=settings.outside,
+    )
     scratch = LiveMap(OccupancyGrid(small))
     hit_and_no_return = np.array([side / 4, math.inf], np.float32)
     scan = Scan(0, 0.0, 1.0, 0.0, side / 3, hit_and_no_return)

@@ -1,0 +1,76 @@
+"""What a placed scan says about which cells: the sensor models behind one face.
+
+A scan is read beam by beam (ogm_core.bresenham, ogm_core.dda) or as sectors (ogm_core.sector). Each of these
+three modules of kernels answers the same questions: which rectangle do the updated cells fill, which tiles,
+and then: update them.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ogm_core import beams, bresenham, dda, sector
+from ogm_core.errors import OutsideBounds
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import CellRect, Lattice
+from ogm_core.logodds import Update
+from ogm_core.projection import project
+from ogm_core.star import star_of
+from ogm_core.strips import StripStore
+from ogm_core.types import PlacedScan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Which cells a scan will update. The cells in `arrays` are counted from `base`."""
+
+    kernels: Any
+    """The module whose kernels understand `arrays`."""
+    arrays: tuple[NDArray[Any], ...]
+    base: tuple[int, int] = (0, 0)
+
+    def extent(self) -> CellRect:
+        """Smallest rectangle that holds every cell that is updated, were the map unbounded."""
+        ix, iy, width, height = self.kernels.extent(*self.arrays)
+        return CellRect(ix + self.base[0], iy + self.base[1], width, height)
+
+    def touch_tiles(self, store: StripStore, inside: CellRect, touched: NDArray[Any], revision: int) -> int:
+        """Write `revision` into every tile with an updated cell in `inside`; count those that held 0."""
+        return int(self.kernels.touch_tiles(*self.arrays, self._window(store, inside), touched, revision))
+
+    def update_cells(self, store: StripStore, inside: CellRect, update: Update) -> int:
+        """Update the cells that lie in `inside`; return the number of cell updates."""
+        window = self._window(store, inside)
+        return int(self.kernels.update_cells(*self.arrays, window, store.cells, store.column, update))
+
+    def _window(self, store: StripStore, inside: CellRect) -> CellRect:
+        """`inside`, which shares the store's lower-left corner, as the kernels count."""
+        return CellRect(
+            store.rect.ix - self.base[0], store.rect.iy - self.base[1], inside.width, inside.height
+        )
+
+
+def observe(placed: PlacedScan, lattice: Lattice, settings: GridSettings) -> Evidence:
+    """Read a placed scan as the settings say.
+
+    Raises:
+        LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
+        OutsideBounds: every beam that counts leaves bounds that drop such beams.
+    """
+    by_sector = settings.sensor == "sector"
+    if by_sector and placed.sweep is not None:
+        placed = PlacedScan(placed.scan, placed.sweep.middle)
+    exact = settings.traversal == "dda" and not by_sector
+    cells, lines = project(placed, lattice, settings, exact=exact)
+    bounds = settings.lattice()[1]
+    if bounds is not None and settings.outside == "drop":
+        counted, dropped = beams.drop_outside(cells, *bounds)
+        if counted and dropped == counted:
+            raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
+    if by_sector:
+        star = star_of(placed, cells[2], lattice, settings)
+        return Evidence(sector, (sector.spans(*star),), lattice.cell_of(placed.pose.x, placed.pose.y))
+    if exact:
+        return Evidence(dda, (cells, lines))
+    return Evidence(bresenham, (cells,))

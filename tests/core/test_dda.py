@@ -1,0 +1,202 @@
+"""The traversal `dda` against exact rational arithmetic; how it is clipped, and which tiles it meets."""
+
+import itertools
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import naive
+from ogm_core import dda
+from ogm_core.beams import HIT, NO_RETURN, SKIPPED
+from ogm_core.lattice import CellRect
+from ogm_core.logodds import Update
+
+SIDE = 192
+COUNTING = Update(free=-1.0, occupied=1000.0, lower=-1e6, upper=1e6, prior=0.0)
+"""A cell that was observed free n times holds -n."""
+SLACK = Fraction(1, 10**6)
+
+
+def beams_of(rays, kinds=None):
+    """Beams (u0, v0, u1, v1), in cells, as the kernels take them."""
+    u0, v0, u1, v1 = np.array(rays, float).T
+    kinds = np.full(u0.size, NO_RETURN) if kinds is None else np.array(kinds)
+    starts, ends = (np.floor((u0, v0)), np.floor((u1, v1)))
+    cells = np.stack((*ends, kinds, *starts)).astype(np.int64)
+    return cells, np.stack((u0 - starts[0], v0 - starts[1], u1 - u0, v1 - v0))
+
+
+class Sheet:
+    """Cells that count how often they were observed, with corner (ix, iy)."""
+
+    def __init__(self, ix=-64, iy=-64, side=SIDE):
+        self.window = CellRect(ix, iy, side, side)
+        columns = np.arange(side)
+        self.column = (columns // 64) * 64 * side + columns % 64
+        self.cells = np.zeros(side * side)
+
+    def visit(self, beams, window=None):
+        """{(i, j): value} of the cells that the kernel updates; the sheet is blank afterwards."""
+        updates = dda.update_cells(*beams, window or self.window, self.cells, self.column, COUNTING)
+        places = np.flatnonzero(self.cells)
+        strip, rest = np.divmod(places, 64 * self.window.height)
+        i, j = self.window.ix + strip * 64 + rest % 64, self.window.iy + rest // 64
+        found = dict(zip(zip(i.tolist(), j.tolist(), strict=True), self.cells[places].tolist(), strict=True))
+        self.cells[places] = 0.0
+        return updates, found
+
+
+def assert_exact(sheet, ray):
+    """A ray visits every cell that it crosses by more than 1e-6, none farther away, each once, in steps."""
+    exact = [Fraction(x) for x in ray]
+    start, end = (math.floor(exact[0]), math.floor(exact[1])), (math.floor(exact[2]), math.floor(exact[3]))
+    updates, found = sheet.visit(beams_of([ray]))
+    assert set(found.values()) <= {-1.0}
+    assert updates == len(found) == abs(end[0] - start[0]) + abs(end[1] - start[1])
+    if start == end:
+        return
+    crossed = naive.crossed(*exact)
+    for cell, length_squared in crossed.items():
+        assert length_squared <= SLACK**2 or cell in found or cell == start, (ray, cell)
+    assert end in found
+    assert start not in found
+    for cell in found.keys() - crossed.keys() - {end}:
+        assert naive.near(cell, *exact, SLACK), (ray, cell)
+    path = sorted({start, *found}, key=lambda cell: abs(cell[0] - start[0]) + abs(cell[1] - start[1]))
+    assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) == 1 for a, b in itertools.pairwise(path)), ray
+
+
+def test_exact_arithmetic_knows_a_simple_ray():
+    half = Fraction(1, 2)
+    assert naive.crossed(half, half, Fraction(5, 2), half) == {(0, 0): half**2, (1, 0): 1, (2, 0): half**2}
+    diagonal = naive.crossed(Fraction(0), Fraction(0), Fraction(2), Fraction(2))
+    assert diagonal == {(0, 0): 2, (1, 1): 2}
+    assert naive.near((1, 0), Fraction(0), Fraction(0), Fraction(2), Fraction(2), SLACK)
+    assert not naive.near((2, 0), Fraction(0), Fraction(0), Fraction(2), Fraction(2), SLACK)
+
+
+def test_random_rays():
+    rng = np.random.default_rng(1)
+    sheet = Sheet()
+    lengths = np.exp(rng.uniform(math.log(0.05), math.log(50), 20_000))
+    bearings = rng.uniform(-math.pi, math.pi, lengths.size)
+    starts = rng.uniform(0, 10, (lengths.size, 2))
+    for (u, v), length, bearing in zip(starts.tolist(), lengths.tolist(), bearings.tolist(), strict=True):
+        assert_exact(sheet, (u, v, u + length * math.cos(bearing), v + length * math.sin(bearing)))
+
+
+def degenerate_rays(rng, count):
+    """Rays from, to and through corners and grid lines, or a rounding error beside them."""
+    places = (0.0, 0.25, 0.5, 1.0 - 2**-53, 2**-60, 1e-9, 3e-7)
+    nudges = (0.0, 0.0, 2**-52, -(2**-50), 1e-12, -1e-9, 4e-7, -3e-6)
+    steps = (0.0, 1.0, 2.0, 3.0, 7.0, 0.5, 30.0, 12.25)
+    for _ in range(count):
+        u, v = (rng.integers(0, 6) + rng.choice(places) for _ in range(2))
+        du, dv = (rng.choice((-1, 1)) * rng.choice(steps) for _ in range(2))
+        match rng.integers(4):
+            case 0:  # a diagonal
+                dv = math.copysign(du, dv)
+            case 1:  # to a corner
+                du, dv = round(u + du) - u, round(v + dv) - v
+            case 2:  # almost along a grid line
+                dv = rng.choice((0.0, 1e-16, 1e-12, 1e-8, 1e-4)) * rng.choice((-1, 1))
+                if rng.integers(2):
+                    du, dv = dv, du
+        yield tuple(map(float, (u, v, u + du + rng.choice(nudges), v + dv + rng.choice(nudges))))
+
+
+def test_degenerate_rays():
+    rng = np.random.default_rng(2)
+    sheet = Sheet()
+    for ray in degenerate_rays(rng, 5000):
+        assert_exact(sheet, ray)
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("rise", [1e-9, 1e-3, 0.7, 1.5, 2.3, 70.0, 7000.0, 999_000.0])
+def test_the_longest_beams_change_rows_in_the_right_column(rise, turn):
+    """A beam of a million cells, against the places where it enters its rows, each computed by itself."""
+    ray = np.array([0.37, 0.811, 1_000_003.0, rise])
+    fu, fv, du, dv = ray if turn % 2 == 0 else ray[[1, 0, 3, 2]]
+    if turn > 1:
+        fu, fv, du, dv = 1 - fu, 1 - fv, -du, -dv
+    di, dj = math.floor(fu + du), math.floor(fv + dv)
+    along_i, si, sj, columns, rows, *steps = dda.staircase(di, dj, fu, fv, du, dv)
+    assert (along_i, si, sj) == (turn % 2 == 0, *((1, 1) if turn < 2 else (-1, -1)))
+    assert (columns, rows) == ((abs(di), abs(dj)) if along_i else (abs(dj), abs(di)))
+    gap, rest = Fraction(1 - 0.37), Fraction(1 - 0.811)
+    for row in np.unique(np.linspace(1, rows, 400).astype(int)).tolist() if rows else []:
+        # The beam enters the row this far behind the first edge of its columns.
+        ahead = (rest + row - 1) * Fraction(1_000_003) / Fraction(rise) - gap
+        before, after = math.ceil(ahead - SLACK), math.ceil(ahead + SLACK) + 1
+        if 1 <= before <= columns:
+            assert dda.rows_of_column(before, columns, rows, *steps)[0] < row
+        if after <= columns:
+            assert dda.rows_of_column(max(after, 1), columns, rows, *steps)[0] >= row
+    assert dda.rows_of_column(columns, columns, rows, *steps)[1] == rows
+
+
+def random_rays(rng, count, low, high):
+    return rng.uniform(low, high, (count, 4)).tolist()
+
+
+def test_a_window_gets_exactly_its_share():
+    rng = np.random.default_rng(4)
+    everywhere, sheet = Sheet(-64, -64, 192), Sheet(0, 0, 64)
+    met = 0
+    for ray in itertools.chain(
+        random_rays(rng, 2500, -60, 120), [(10.0, 10.0, -5.0, 10.0), (0, 0, 100, 100)]
+    ):
+        width, height = rng.integers(1, 65, 2).tolist()
+        kind = rng.choice((HIT, NO_RETURN))
+        _, whole = everywhere.visit(beams_of([ray], [kind]))
+        inside = {(i, j): value for (i, j), value in whole.items() if 0 <= i < width and 0 <= j < height}
+        updates, found = sheet.visit(beams_of([ray], [kind]), CellRect(0, 0, width, height))
+        assert found == inside, (ray, width, height)
+        assert updates == len(inside)
+        met += bool(inside)
+    assert met > 500
+
+
+def test_the_end_cell_of_a_hit_is_occupied_and_skipped_beams_are_nothing():
+    ray = (0.5, 0.5, 3.5, 1.4)
+    _, found = Sheet().visit(beams_of([ray], [HIT]))
+    assert found == {(1, 0): -1.0, (2, 0): -1.0, (2, 1): -1.0, (3, 1): 1000.0}
+    assert Sheet().visit(beams_of([ray], [SKIPPED])) == (0, {})
+    assert Sheet().visit(beams_of([(0.1, 0.2, 0.9, 0.8)], [HIT])) == (0, {})
+
+
+def box(cells):
+    i, j = [c[0] for c in cells], [c[1] for c in cells]
+    return (min(i), min(j), max(i) - min(i) + 1, max(j) - min(j) + 1) if cells else (0, 0, 0, 0)
+
+
+def test_extent_is_the_box_around_what_is_updated():
+    rng = np.random.default_rng(5)
+    sheet = Sheet()
+    for ray in itertools.chain(random_rays(rng, 1500, 0, 6), degenerate_rays(rng, 1500)):
+        assert dda.extent(*beams_of([ray])) == box(list(sheet.visit(beams_of([ray]))[1])), ray
+    for _ in range(100):
+        rays, kinds = random_rays(rng, 5, -20, 20), rng.integers(0, 3, 5)
+        rays = [(*rays[0][:2], *ray[2:]) for ray in rays]
+        found = sheet.visit(beams_of(rays, kinds))[1]
+        assert dda.extent(*beams_of(rays, kinds)) == box(list(found))
+
+
+@pytest.mark.parametrize("low", [-150.0, 0.0])
+def test_touched_tiles_are_those_of_the_updated_cells(low):
+    rng = np.random.default_rng(6)
+    sheet = Sheet(0, 0, 448)
+    rays = itertools.chain(random_rays(rng, 1500, low, 440), degenerate_rays(rng, 500))
+    for n, ray in enumerate(rays):
+        if n % 3 == 0:  # along the edges of tiles
+            ray = [64.0 * round(x / 64) + rng.choice((-0.5, 0.0, 0.5, 1.5)) for x in ray]
+        beams = beams_of([ray])
+        _, found = sheet.visit(beams)
+        tiles = {(i // 64, j // 64) for i, j in found}
+        touched = np.zeros((7, 7), np.int64)
+        assert dda.touch_tiles(*beams, sheet.window, touched, 5) == len(tiles), ray
+        assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles, ray
+        assert dda.touch_tiles(*beams, sheet.window, touched, 6) == 0
