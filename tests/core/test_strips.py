@@ -194,3 +194,29 @@ def test_memory_comes_with_the_first_write():
 def test_no_address_space_is_a_limit():
     with pytest.raises(LimitReached, match="no address space"):
         StripStore(CellRect(0, 0, 2**31, 2**31), INT16)
+
+
+def test_what_is_written_is_read_back_and_takes_only_the_tiles_it_needs():
+    rng = np.random.default_rng(8)
+    dense = rng.integers(-5, 5, (130, 200)).astype(np.int16)
+    dense[:, 40:150] = 0
+    store = StripStore(CellRect(-100, 30, 400, 300), INT16)
+    rect = CellRect(-70, 50, 200, 130)
+    store.write(rect, dense)
+    assert np.array_equal(store.read(rect), dense)
+    assert np.count_nonzero(store.cells) == np.count_nonzero(dense)
+    rows, columns = np.nonzero(dense)
+    tiles = set(zip((columns - 70 + 128) // 64, (rows + 50) // 64, strict=True))
+    assert set(zip(*np.nonzero(store.touched), strict=True)) == tiles
+    assert store.tiles_used == len(tiles)
+    store.write(rect, dense)
+    assert store.tiles_used == len(tiles)
+
+
+def test_a_cell_of_minus_zero_is_written():
+    store = StripStore(CellRect(0, 0, 64, 64), np.dtype(np.float64))
+    dense = np.zeros((2, 2))
+    dense[1, 0] = -0.0
+    store.write(CellRect(3, 4, 2, 2), dense)
+    assert store.tiles_used == 1
+    assert np.signbit(store.read(CellRect(3, 4, 2, 2))).tolist() == [[False, False], [True, False]]
