@@ -69,8 +69,9 @@ def observe(placed: PlacedScan, lattice: Lattice, settings: GridSettings) -> Evi
         if counted and dropped == counted:
             raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
     if by_sector:
-        star = star_of(placed, cells[2], lattice, settings)
-        return Evidence(sector, (sector.spans(*star),), lattice.cell_of(placed.pose.x, placed.pose.y))
+        sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
+        rays, quadrants = star_of(placed, cells[2], lattice.resolution, settings)
+        return Evidence(sector, (sector.spans(rays, quadrants, fu, fv),), sensor_cell)
     if exact:
         return Evidence(dda, (cells, lines))
     return Evidence(bresenham, (cells,))

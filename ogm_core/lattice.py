@@ -81,11 +81,20 @@ class Lattice:
         Raises:
             BadParameter: the point is not finite, or farther away than cells can be told apart.
         """
+        return self.place_of(x, y)[0]
+
+    def place_of(self, x: float, y: float) -> tuple[tuple[int, int], tuple[float, float]]:
+        """The cell that holds the point (x, y), m, and where in it: from its lower-left corner, in [0, 1).
+
+        Raises:
+            BadParameter: the point is not finite, or farther away than cells can be told apart.
+        """
         u = (x - self.anchor[0]) / self.resolution
         v = (y - self.anchor[1]) / self.resolution
         if not (abs(u) < MAX_INDEX and abs(v) < MAX_INDEX):
             raise BadParameter(f"point ({x:g}, {y:g}): no cell has such coordinates")
-        return math.floor(u), math.floor(v)
+        ix, iy = math.floor(u), math.floor(v)
+        return (ix, iy), (u - ix, v - iy)
 
     def corner_of(self, ix: int, iy: int) -> tuple[float, float]:
         """World position of the lower-left corner of cell (ix, iy), m."""

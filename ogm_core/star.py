@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED, BeamModel, classify
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import Lattice
 from ogm_core.projection import beam_model, read_only
 from ogm_core.types import PlacedScan, Scan
 
@@ -32,26 +31,21 @@ Rays = NDArray[np.float64]
 
 
 def star_of(
-    placed: PlacedScan, kinds: NDArray[np.int64], lattice: Lattice, settings: GridSettings
-) -> tuple[Rays, NDArray[np.int64], float, float]:
-    """The star of a scan at its sensor's pose, and the sensor's place within its cell, in [0, 1).
+    placed: PlacedScan, kinds: NDArray[np.int64], resolution: float, settings: GridSettings
+) -> tuple[Rays, NDArray[np.int64]]:
+    """The rays of a scan at its sensor's pose, and the quadrant (0 to 3) that each of them begins in.
 
-    `kinds` says which beams count. Returns rays, the quadrant (0 to 3) that each of them begins in or lies
-    in, and the sensor's place.
+    `kinds` says which beams count.
     """
-    scan, pose = placed.scan, placed.pose
     rays, quadrants = _star(
-        read_only(scan.ranges),
-        beam_model(scan, settings),
+        read_only(placed.scan.ranges),
+        beam_model(placed.scan, settings),
         kinds,
-        _round(scan),
-        float(pose.theta),
-        float(lattice.resolution),
+        _round(placed.scan),
+        float(placed.pose.theta),
+        float(resolution),
     )
-    ix, iy = lattice.cell_of(pose.x, pose.y)
-    fu = (pose.x - lattice.anchor[0]) / lattice.resolution - ix
-    fv = (pose.y - lattice.anchor[1]) / lattice.resolution - iy
-    return rays, quadrants, fu, fv
+    return rays, quadrants
 
 
 def _round(scan: Scan) -> NDArray[np.int64]:

@@ -155,3 +155,14 @@ def test_rectangles_unite_intersect_and_contain():
 @pytest.mark.parametrize("other", [CellRect(2, 0, 3, 3), CellRect(-2, 3, 4, 1), CellRect(9, 9, 1, 1)])
 def test_rectangles_that_only_touch_share_no_cell(other):
     assert CellRect(-2, 0, 4, 3).intersection(other).cells == 0
+
+
+@pytest.mark.parametrize(
+    ("x", "cell", "place"),
+    [(-3.3, 0, 0.0), (-3.0, 0, 0.6), (-2.81, 0, 0.98), (-2.8, 1, 0.0), (-3.9, -2, 0.8)],
+)
+def test_the_place_within_a_cell_is_from_its_corner(x, cell, place):
+    (ix, iy), (fu, fv) = Lattice(0.5, (-3.3, -3.3)).place_of(x, x)
+    assert (ix, iy) == (cell, cell)
+    assert (fu, fv) == pytest.approx((place, place), abs=1e-12)
+    assert 0.0 <= fu < 1.0
