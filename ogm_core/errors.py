@@ -7,6 +7,7 @@ OgmError
 |   +-- BadSetting        a map setting contradicts itself or is out of range
 |   +-- BadRecording      a log cannot be read, or holds no scan
 |   +-- BadWorld          a simulated world's description is wrong
+|   +-- BadMapFile        a map file (YAML and picture) cannot be read, or is not one
 +-- LimitReached          a scan would stretch the map past its limits
 +-- MapEmpty              there is no known cell to draw
 """
@@ -53,6 +54,12 @@ class BadWorld(BadInput):
     """The description of a simulated world is wrong."""
 
     slug = "bad-world"
+
+
+class BadMapFile(BadInput):
+    """A ROS map file, or the picture that it names, cannot be read or is not what is needed."""
+
+    slug = "bad-map-file"
 
 
 class ScanRefused(OgmError):

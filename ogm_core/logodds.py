@@ -124,11 +124,15 @@ class LogOdds:
         """Increments, clamps and prior in stored units."""
         if self.cells == "float64":
             return Update(self.d_free, self.d_occ, float(self.l_min), float(self.l_max), self.l0)
-        lower, upper = round((self.l_min - self.l0) / self.step), round((self.l_max - self.l0) / self.step)
+        lower, upper = self._clamps_in_steps
         span = upper - lower
         free = max(round(self.d_free / self.step), -span)
         occupied = min(round(self.d_occ / self.step), span)
         return Update(2 * free, 2 * occupied, 2 * lower, 2 * upper, 0)
+
+    @property
+    def _clamps_in_steps(self) -> tuple[int, int]:
+        return round((self.l_min - self.l0) / self.step), round((self.l_max - self.l0) / self.step)
 
     def known(self, cells: Cells) -> NDArray[np.bool_]:
         """Which cells were ever updated."""
@@ -145,6 +149,14 @@ class LogOdds:
     def probability(self, cells: Cells) -> NDArray[np.float64]:
         """Probability of "occupied", the prior's where unknown; float64."""
         return probability_of(self.log_odds(cells))
+
+    def store(self, log_odds: NDArray[np.float64], known: NDArray[np.bool_]) -> Cells:
+        """Cells of these log odds, cut off at the clamps, 0 where not known; shapes as given."""
+        if self.cells == "float64":
+            clamped = np.clip(log_odds, self.l_min, self.l_max)
+            return np.where(known, np.where(clamped == 0.0, -0.0, clamped), 0.0)
+        steps = np.clip(np.rint((log_odds - self.l0) / self.step), *self._clamps_in_steps)
+        return np.where(known, 2.0 * steps + 1.0, 0.0).astype(np.int16)
 
     def encode(self, cells: Cells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""

@@ -7,19 +7,25 @@ may be wrong, repeated or zero, so the order of the lines is the order of the me
 import gzip
 import os
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, BinaryIO, Self
 
-from ogm_core import carmen, jsonlines
+from ogm_core import jsonlines
+from ogm_core.carmen import LASERS_READ, CarmenLog
+from ogm_core.carmen_mount import mount_of_laser
 from ogm_core.errors import BadMessage, BadRecording, BadSetting
 from ogm_core.jsonlines import to_line
 from ogm_core.keys import check_name
+from ogm_core.log_formats import CARMEN_SUFFIXES, HEAD, JSON_SUFFIXES, folder, hint, why_not
 from ogm_core.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
 from ogm_core.recorded import Recorded, RecordedPose, RecordedScan
+from ogm_core.types import IDENTITY
 
 __all__ = [
     "CARMEN_SUFFIXES",
@@ -28,54 +34,26 @@ __all__ = [
     "RecordedPose",
     "RecordedScan",
     "RecordingReader",
-    "read_carmen",
-    "read_jsonl",
+    "read_lines",
     "to_line",
     "write_jsonl",
 ]
 
-JSON_SUFFIXES = (".jsonl", ".jsonl.gz")
-CARMEN_SUFFIXES = (".log", ".log.gz", ".clf", ".clf.gz")
 MAX_COMPLAINTS = 5
 """How many malformed lines a reader quotes; it counts them all."""
 _QUOTED = 200  # characters of a complaint: a line may hold anything, at any length
+_SHOWN = 8  # names of messages that are not read
 
 Complain = Callable[[int, str], None]
 """Called with the number of a malformed line, from 1, and what is wrong with it."""
 
 
-def read_jsonl(
-    lines: Iterable[bytes],
-    complain: Complain,
-    *,
-    range_max: float | None = None,
-    max_beams: int = DEFAULT_MAX_BEAMS,
-) -> Iterator[Recorded]:
-    """Messages of a JSON lines log; `range_max` (m) replaces that of every scan.
-
-    A malformed line goes to `complain` and is passed over.
-    """
-    return _read(
-        lines, complain, lambda line: jsonlines.parse_line(line, range_max=range_max, max_beams=max_beams)
-    )
+Parse = Callable[[bytes], Recorded | None]
+"""Reads one line: its message, or None if none is read; raises BadMessage if the line is malformed."""
 
 
-def read_carmen(
-    lines: Iterable[bytes],
-    complain: Complain,
-    *,
-    range_max: float | None = None,
-    max_beams: int = DEFAULT_MAX_BEAMS,
-) -> Iterator[Recorded]:
-    """Messages of a CARMEN log, likewise."""
-    return _read(
-        lines, complain, lambda line: carmen.parse_line(line, range_max=range_max, max_beams=max_beams)
-    )
-
-
-def _read(
-    lines: Iterable[bytes], complain: Complain, parse: Callable[[bytes], Recorded | None]
-) -> Iterator[Recorded]:
+def read_lines(lines: Iterable[bytes], parse: Parse, complain: Complain) -> Iterator[Recorded]:
+    """Messages of a log's lines; a malformed line goes to `complain` and is passed over."""
     for number, line in enumerate(lines, 1):
         try:
             recorded = parse(line)
@@ -90,16 +68,17 @@ class RecordingReader:
     """Reads a log of any known format, once, in file order.
 
     Use it in a `with`, and iterate over it there: it yields RecordedPose and RecordedScan. `range_max` (m)
-    replaces that of every scan; `robot` renames the log's one robot.
+    replaces that of every scan; `robot` renames the log's one robot. With `odometry` the ODOM lines of a
+    CARMEN log are the poses, and its scans carry none; such a log is read twice.
 
     `scans` and `poses` count what was read so far, `malformed` the lines that were passed over, and
     `complaints` says what was wrong with the first of them. `size` is the file's size on disk in bytes.
 
     Raises:
         BadSetting: `range_max` or `robot` cannot be used.
-        BadRecording: on entering, the file cannot be opened or its format is not read; while iterating, it
-            is truncated or corrupt, or holds a second robot although `robot` is given; at the end, it held
-            no scan.
+        BadRecording: on entering, the file cannot be opened, is of no format that is read, or lacks what
+            `odometry` needs; while iterating, it is truncated or corrupt, or holds a second robot although
+            `robot` is given; at the end, it held no scan.
     """
 
     def __init__(
@@ -108,6 +87,7 @@ class RecordingReader:
         *,
         range_max: float | None = None,
         robot: str | None = None,
+        odometry: bool = False,
         max_beams: int = DEFAULT_MAX_BEAMS,
     ) -> None:
         if range_max is not None and not 0.0 < range_max <= MAX_RANGE:
@@ -119,30 +99,72 @@ class RecordingReader:
         self.complaints: list[str] = []
         self._range_max = range_max
         self._max_beams = max_beams
+        self._odometry = odometry
         self._new_name = robot
         self._old_name: str | None = None
         self._file: BinaryIO | None = None
         self._position = 0
+        self._head = b""
+        self._carmen: CarmenLog | None = None
 
     @property
     def position(self) -> int:
         """Bytes of the file on disk that have been read, of `size`."""
         return self._position if self._file is None else self._file.tell()
 
+    @property
+    def not_read(self) -> str:
+        """The laser messages of a CARMEN log that were passed over, as "20 RLASER"; "" if there were none."""
+        return "" if self._carmen is None else self._carmen.lasers_passed_over()
+
     def __enter__(self) -> Self:
+        file = self._opened()
         try:
-            file = self.path.open("rb")
+            self._begin(file)
+        except BaseException:
+            file.close()
+            self._file = None
+            raise
+        return self
+
+    def _opened(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except IsADirectoryError as error:
+            is_bag = any(entry.name == "metadata.yaml" for entry in self.path.iterdir())
+            raise BadRecording(f"{self.path}: {folder(is_bag=is_bag)}") from error
         except OSError as error:
             raise BadRecording(_cannot(self.path, "read", error)) from error
-        if not self._named(JSON_SUFFIXES + CARMEN_SUFFIXES):
-            file.close()
-            raise BadRecording(
-                f"{self.path}: not a format that is read; these are JSON lines ({', '.join(JSON_SUFFIXES)}) "
-                f"and CARMEN ({', '.join(CARMEN_SUFFIXES)}); .mcap, .db3 and .bag are not"
-            )
+
+    def _begin(self, file: BinaryIO) -> None:
+        """Refuse what is not read, and get ready for the first line."""
+        try:
+            self.size = os.fstat(file.fileno()).st_size
+            self._head = file.read(HEAD)
+            file.seek(0)
+        except OSError as error:
+            raise BadRecording(_cannot(self.path, "read", error)) from error
+        refusal = why_not(self.path.name, self._head)
+        if refusal is not None:
+            raise BadRecording(f"{self.path}: {refusal}")
         self._file = file
-        self.size = os.fstat(file.fileno()).st_size
-        return self
+        if self._named(CARMEN_SUFFIXES):
+            self._carmen = self._carmen_log(file)
+        elif self._odometry:
+            raise BadRecording(
+                f"{self.path}: --odometry is for CARMEN logs, whose ODOM lines it reads; leave it out"
+            )
+
+    def _carmen_log(self, file: BinaryIO) -> CarmenLog:
+        log = partial(CarmenLog, range_max=self._range_max, max_beams=self._max_beams)
+        if not self._odometry:
+            return log()
+        try:
+            mount = mount_of_laser(self._lines(), log(mount=IDENTITY))
+        except BadSetting as error:
+            raise BadRecording(f"{self.path}: {error}") from error
+        file.seek(0)
+        return log(mount=mount)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -153,9 +175,10 @@ class RecordingReader:
             self._file = None
 
     def __iter__(self) -> Iterator[Recorded]:
-        read = read_jsonl if self._named(JSON_SUFFIXES) else read_carmen
-        messages = read(self._lines(), self._complain, range_max=self._range_max, max_beams=self._max_beams)
-        for recorded in messages:
+        parse: Parse = partial(jsonlines.parse_line, range_max=self._range_max, max_beams=self._max_beams)
+        if self._carmen is not None:
+            parse = self._carmen.parse_line
+        for recorded in read_lines(self._lines(), parse, self._complain):
             renamed = self._rename(recorded)
             if isinstance(recorded, RecordedScan):
                 self.scans += 1
@@ -203,9 +226,12 @@ class RecordingReader:
         return replace(recorded, robot=self._new_name)
 
     def _instead(self) -> str:
+        text = f", only {self.poses} poses" if self.poses else ""
         if self.malformed:
-            return f"; {self.malformed} lines are malformed, first {self.complaints[0]}"
-        return f", only {self.poses} poses" if self.poses else ""
+            text += f"; {self.malformed} lines are malformed, first {self.complaints[0]}"
+        if self._carmen is not None and self._carmen.unread:
+            text += f"; found are {_listed(self._carmen.unread)}; read are {' and '.join(LASERS_READ)}"
+        return text + hint(self.path.name, self._head)
 
 
 def write_jsonl(path: Path, messages: Iterable[Recorded]) -> None:
@@ -242,6 +268,11 @@ def _written(path: Path, *, packed: bool) -> Iterator[IO[bytes] | gzip.GzipFile]
                 yield stream
         else:
             yield file
+
+
+def _listed(counts: Counter[str]) -> str:
+    shown = [f"{count} {name}" for name, count in counts.most_common(_SHOWN)]
+    return ", ".join(shown) + (" and others" if len(counts) > _SHOWN else "")
 
 
 def _cannot(path: Path, what: str, error: OSError) -> str:

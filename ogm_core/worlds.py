@@ -8,13 +8,12 @@ A world file is YAML, all lengths in metres:
     walls: [[x1, y1, x2, y2], ...]
     path: {circle: [cx, cy, r], poses: 220}   # or {waypoints: [[x, y], ...], spacing: 0.1}
 
-Only `path` and one obstacle are needed.
+Only `path` and one obstacle are needed. The YAML file of a ROS map is a world, too (see ogm_core.map_world).
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from ogm_core.errors import BadWorld
 from ogm_core.lattice import Region
 from ogm_core.office import PLAN
+from ogm_core.strict_yaml import parse_yaml, shown
 from ogm_core.trajectories import CirclePath, WaypointPath
 
 MAX_COORDINATE = 1e6
@@ -32,10 +32,6 @@ _ADD_A_PATH = (
     "for example path: {circle: [0, 0, 2], poses: 100} or {waypoints: [[0, 0], [3, 0]], spacing: 0.1}"
 )
 _BOX = "[xmin, ymin, xmax, ymax]"
-
-# What PyYAML lets through, beside its own error, from a scalar that is not what its tag says (!!bool maybe),
-# from a date that does not exist, and from an integer of thousands of digits.
-YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +80,11 @@ BUILT_IN: Mapping[str, Callable[[], World]] = {"lab": lab, "office": office}
 
 
 def world_named(name_or_path: str) -> World:
-    """The built-in world of that name, else the world in the YAML file at that path.
+    """The built-in world of that name, else that of the YAML file at that path: a world file, or a ROS map.
 
     Raises:
         BadWorld: there is no such file, it cannot be read, or it is not a world.
+        BadMapFile: it is a ROS map, but it or its picture is not what is needed.
     """
     if name_or_path in BUILT_IN:
         return BUILT_IN[name_or_path]()
@@ -101,7 +98,8 @@ def world_named(name_or_path: str) -> World:
             f"world {name_or_path!r}: not a file that can be read ({error}), nor a built-in world ({known})"
         ) from error
     try:
-        return load_world(text)
+        fields = _parse(text)
+        return _world_of_map(Path(name_or_path)) if "image" in fields else load_world(fields)
     except BadWorld as error:
         raise BadWorld(f"world {name_or_path!r}: {error}") from error
 
@@ -113,12 +111,12 @@ def load_world(description: str | Mapping[str, object]) -> World:
         BadWorld: it is not one; the text names the key and the entry.
     """
     fields = _parse(description) if isinstance(description, str) else description
-    if "image" in fields and "resolution" in fields:
-        raise BadWorld("this is a ROS map file; map files as worlds are not read yet, so give a world file")
+    if "image" in fields:
+        raise BadWorld("this is a ROS map file: give its path, so that its picture is found beside it")
     _refuse_unknown(fields, _KEYS, "")
     name = fields.get("name", "world")
     if not (isinstance(name, str) and name):
-        raise BadWorld(f"name: text is needed, got {_shown(name)}")
+        raise BadWorld(f"name: text is needed, got {shown(name)}")
     circles = _rows(fields, "circles", "[cx, cy, r]")
     boxes = _rows(fields, "boxes", _BOX)
     walls = _rows(fields, "walls", "[x1, y1, x2, y2]")
@@ -146,29 +144,22 @@ def dump_world(world: World) -> str:
     return str(yaml.safe_dump(fields, sort_keys=False, default_flow_style=None))
 
 
-class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice, where YAML libraries silently keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            if key.value in seen:
-                text = f"key {key.value!r} is given twice"
-                raise yaml.constructor.ConstructorError(None, None, text, key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
 def _parse(text: str) -> Mapping[str, object]:
     try:
-        # _Loader is a SafeLoader: it makes plain values only.
-        fields = yaml.load(text, Loader=_Loader)
-    except YAML_ERRORS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BadWorld(f"not YAML that can be read ({reason[:300]})") from error
+        fields = parse_yaml(text)
+    except ValueError as error:
+        raise BadWorld(str(error)) from error
     if not isinstance(fields, dict):
-        raise BadWorld(f"a mapping with the keys {', '.join(_KEYS)} is needed, got {_shown(fields)}")
+        raise BadWorld(f"a mapping with the keys {', '.join(_KEYS)} is needed, got {shown(fields)}")
     return fields
+
+
+def _world_of_map(path: Path) -> World:
+    # Here, because what reads pictures and finds ways loads slowly, and other worlds need none of it.
+    from ogm_core.map_world import world_of_map
+    from ogm_core.ros_map_reader import read_ros_map
+
+    return world_of_map(read_ros_map(path), path.stem)
 
 
 def _path(path: object) -> CirclePath | WaypointPath:
@@ -181,7 +172,7 @@ def _path(path: object) -> CirclePath | WaypointPath:
         cx, cy, r = _numbers(path["circle"], "[cx, cy, r]", "path: circle")
         count = path.get("poses")
         if isinstance(count, bool) or not isinstance(count, int):
-            raise BadWorld(f"path: poses: how many, a whole number, is needed, got {_shown(count)}")
+            raise BadWorld(f"path: poses: how many, a whole number, is needed, got {shown(count)}")
         return CirclePath(cx, cy, r, count)
     _refuse_unknown(path, ("waypoints", "spacing"), "path: ")
     points = tuple((x, y) for x, y in _rows(path, "waypoints", "[x, y]", "path: "))
@@ -195,7 +186,7 @@ def _path(path: object) -> CirclePath | WaypointPath:
 def _refuse_unknown(fields: Mapping[str, object], known: tuple[str, ...], where: str) -> None:
     for key in fields:
         if key not in known:
-            raise BadWorld(f"{where}unknown key {_shown(key)}; known are {', '.join(known)}")
+            raise BadWorld(f"{where}unknown key {shown(key)}; known are {', '.join(known)}")
 
 
 def _rows(fields: Mapping[str, object], key: str, form: str, where: str = "") -> list[tuple[float, ...]]:
@@ -204,13 +195,13 @@ def _rows(fields: Mapping[str, object], key: str, form: str, where: str = "") ->
     if rows is None:
         return []
     if not isinstance(rows, list | tuple):
-        raise BadWorld(f"{where}{key}: a list of {form} is needed, got {_shown(rows)}")
+        raise BadWorld(f"{where}{key}: a list of {form} is needed, got {shown(rows)}")
     return [_numbers(row, form, f"{where}{key}: entry {k}") for k, row in enumerate(rows)]
 
 
 def _numbers(values: object, form: str, where: str) -> tuple[float, ...]:
     if not isinstance(values, list | tuple) or len(values) != form.count(",") + 1:
-        raise BadWorld(f"{where}: {form} is needed, got {_shown(values)}")
+        raise BadWorld(f"{where}: {form} is needed, got {shown(values)}")
     return tuple(_number(value, where) for value in values)
 
 
@@ -218,10 +209,10 @@ def _number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         # YAML 1.1 wants a point and a sign in a number with an exponent.
         hint = " (write 1e3 as 1.0e+3)" if isinstance(value, str) and "e" in value.lower() else ""
-        raise BadWorld(f"{where}: a number is needed, got {_shown(value)}{hint}")
+        raise BadWorld(f"{where}: a number is needed, got {shown(value)}{hint}")
     if not abs(value) <= MAX_COORDINATE:
         raise BadWorld(
-            f"{where}: a finite number of at most {MAX_COORDINATE:g} m is needed, got {_shown(value)}"
+            f"{where}: a finite number of at most {MAX_COORDINATE:g} m is needed, got {shown(value)}"
         )
     return float(value)
 
@@ -238,21 +229,6 @@ def _check_shapes(
     for k, (x1, y1, x2, y2) in enumerate(walls):
         if (x1, y1) == (x2, y2):
             raise BadWorld(f"walls: entry {k}: its two ends are the same point")
-
-
-def _shown(value: object) -> str:
-    """A value in a few words: a list may hold itself, an integer may be too long to print."""
-    match value:
-        case None:
-            return "nothing"
-        case Mapping():
-            return "a mapping"
-        case list() | tuple():
-            return f"a list of {len(value)}"
-        case int() if abs(value) > MAX_COORDINATE:
-            return f"one beyond {MAX_COORDINATE:g}"
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:40]}..."
 
 
 def _outline(box: tuple[float, ...]) -> list[tuple[float, ...]]:

@@ -1,6 +1,8 @@
 """What tests of several folders share: a loopback endpoint, a session on it, waiting with a deadline."""
 
+import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -34,3 +36,12 @@ def eventually():
         return value
 
     return wait
+
+
+@pytest.fixture(scope="session")
+def ros_maps():
+    """Folder of maps in nav2's format; tests that want it are skipped where it is not."""
+    folder = os.environ.get("OGM_DATASETS")
+    if not folder:
+        pytest.skip("OGM_DATASETS is not set: it names the folder with recorded data, among them ros-maps")
+    return Path(folder) / "ros-maps"

@@ -2,7 +2,7 @@
 
 import json
 
-from ogm_core.recordings import RecordedPose
+from ogm_core.recordings import RecordedPose, read_lines
 
 POSE = {"type": "pose", "robot": "r1", "stamp": 10, "seq": 1, "run": "a", "x": 1.0, "y": 2.0, "theta": 0.5}
 SCAN = {
@@ -27,10 +27,30 @@ def flaser(ranges, *, pose="1.5 -2.5 0.25", odometry="7 8 9", ipc_time="32.9068"
     return f"FLASER {len(ranges)} {' '.join(map(str, ranges))} {pose} {odometry} {ipc_time} {tail}".encode()
 
 
-def parsed(read, *lines, **options):
+def robotlaser(
+    ranges,
+    *,
+    setup="0 -1.25 2.0 0.5 30.5 0.01 0",
+    remissions=(),
+    pose="1.5 -2.5 0.25",
+    robot="1.5 -2.5 0.25",
+    safety="0.3 0.1 0.5 0.4 1e6",
+    ipc_time="32.9068",
+    tail="pippo 40.0",
+):
+    readings = [len(ranges), *ranges, len(remissions), *remissions]
+    text = f"ROBOTLASER1 {setup} {' '.join(map(str, readings))} {pose} {robot} {safety} {ipc_time} {tail}"
+    return text.encode()
+
+
+def odom(pose="1.0 2.0 0.5", *, speed="0.3 0.1 0", ipc_time="32.5", tail="pippo 40.0"):
+    return f"ODOM {pose} {speed} {ipc_time} {tail}".encode()
+
+
+def parsed(parse, *lines):
     """(messages, complaints) of lines."""
     complaints = []
-    messages = list(read(lines, lambda number, reason: complaints.append((number, reason)), **options))
+    messages = list(read_lines(lines, parse, lambda number, reason: complaints.append((number, reason))))
     return messages, complaints
 
 

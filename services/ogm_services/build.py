@@ -29,6 +29,7 @@ def run_build(
     *,
     range_max: float | None,
     robot: str | None,
+    odometry: bool = False,
     hold_out: int | None,
 ) -> None:
     """Map a log and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
@@ -42,7 +43,7 @@ def run_build(
     max_beams = settings.mapper.max_beams
 
     def reader() -> RecordingReader:
-        return RecordingReader(log, range_max=range_max, robot=robot, max_beams=max_beams)
+        return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry, max_beams=max_beams)
 
     grid = OccupancyGrid(settings.grid_settings())
     first = _MapPass(grid)
@@ -137,4 +138,6 @@ def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
         parts.append(f"{books['poses']['late']} poses late")
     if messages.malformed:
         parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
+    if messages.not_read:
+        parts.append(f"not read: {messages.not_read}")
     return ", ".join(parts)

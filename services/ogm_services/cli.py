@@ -14,11 +14,13 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, held_signals, running_service
+from ogm_services.kernel_cache import kernel_cache
 from ogm_services.options import (
     ConfigFile,
     HttpFlags,
     LogFlags,
     MapFlags,
+    MapperFlags,
     NetworkFlags,
     settings_from,
     with_flag_groups,
@@ -57,7 +59,9 @@ def program(
     """Take the program's own flags; the commands do the work."""
 
 
-World = Annotated[str, typer.Option(metavar="WORLD", help="lab, office, or the YAML file of a world.")]
+World = Annotated[
+    str, typer.Option(metavar="WORLD", help="lab, office, or the YAML file of a world or a ROS map.")
+]
 MapperOut = Annotated[
     Path | None,
     typer.Option(
@@ -98,7 +102,7 @@ def demo(
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     settings = settings_from(config, map_flags, network, http)
-    with running_service():
+    with running_service(), kernel_cache():
         with held_signals():
             from ogm_services.demo import run_demo
         run_demo(settings, world=world, duration=duration, out=out)
@@ -108,14 +112,15 @@ def demo(
 @with_flag_groups
 def mapper(
     map_flags: MapFlags,
+    mapper_flags: MapperFlags,
     network: NetworkFlags,
     http: HttpFlags,
     config: ConfigFile = None,
     out: MapperOut = None,
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
-    settings = settings_from(config, map_flags, network, http)
-    with running_service():
+    settings = settings_from(config, map_flags, mapper_flags, network, http)
+    with running_service(), kernel_cache():
         with held_signals():
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
@@ -199,7 +204,14 @@ def replay(
     with running_service(interrupted=INTERRUPTED):
         with held_signals():
             from ogm_services.replay import run_replay
-        run_replay(log, settings.network, speed=factor, range_max=log_flags.range_max, robot=log_flags.robot)
+        run_replay(
+            log,
+            settings.network,
+            speed=factor,
+            range_max=log_flags.range_max,
+            robot=log_flags.robot,
+            odometry=log_flags.odometry,
+        )
 
 
 @app.command()
@@ -224,7 +236,7 @@ def build(
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
     settings = settings_from(config, map_flags)
-    with running_service(interrupted=INTERRUPTED, logging_too=False):
+    with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
         with held_signals():
             from ogm_services.build import run_build
         run_build(
@@ -233,6 +245,7 @@ def build(
             settings,
             range_max=log_flags.range_max,
             robot=log_flags.robot,
+            odometry=log_flags.odometry,
             hold_out=hold_out,
         )
 

@@ -19,7 +19,7 @@ from ogm_core.logodds import CellType
 from ogm_services.setting_values import LOOPBACK, Preset
 from ogm_services.settings import Settings, flag_name, load_settings
 
-PANELS = {"map": "Map", "network": "Network", "http": "HTTP"}
+PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"}
 
 
 def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
@@ -148,6 +148,22 @@ class HttpFlags(_SettingFlags):
 
 
 @dataclass(frozen=True)
+class MapperFlags(_SettingFlags):
+    """Flags of the mapper alone."""
+
+    section = "mapper"
+
+    start_map: Annotated[
+        str | None,
+        _setting("mapper", "start_map", "FILE.yaml", "Start with this ROS map, on its lattice"),
+    ] = None
+    start_confidence: Annotated[
+        str | None,
+        _setting("mapper", "start_confidence", "P", "Probability that the start map is right about a cell"),
+    ] = None
+
+
+@dataclass(frozen=True)
 class LogFlags:
     """Log flags of build and replay; the reader of the log judges the values."""
 
@@ -162,6 +178,14 @@ class LogFlags:
     robot: Annotated[
         str | None, typer.Option(metavar="NAME", help="Rename the log's one robot.", rich_help_panel="Log")
     ] = None
+    odometry: Annotated[
+        bool,
+        typer.Option(
+            "--odometry",
+            help="Take poses from the ODOM lines of a CARMEN log, instead of those in its laser's lines.",
+            rich_help_panel="Log",
+        ),
+    ] = False
 
 
 ConfigFile = Annotated[

@@ -58,7 +58,13 @@ class _Sent:
 
 
 def run_replay(
-    log: Path, network: NetworkSettings, *, speed: float | None, range_max: float | None, robot: str | None
+    log: Path,
+    network: NetworkSettings,
+    *,
+    speed: float | None,
+    range_max: float | None,
+    robot: str | None,
+    odometry: bool = False,
 ) -> None:
     """Publish a log in file order, at `speed` times its own pace (None: as fast as the mapper takes it).
 
@@ -69,7 +75,7 @@ def run_replay(
     """
 
     def reader() -> RecordingReader:
-        return RecordingReader(log, range_max=range_max, robot=robot)
+        return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry)
 
     with reader() as messages:
         total = sum(1 for _ in messages)
@@ -221,6 +227,7 @@ def _books(status: dict[str, Any], source: Source) -> dict[str, Any]:
 
 
 def _passed_over(messages: RecordingReader) -> str:
-    if not messages.malformed:
-        return ""
-    return f", {messages.malformed} malformed lines passed over ({'; '.join(messages.complaints)})"
+    text = ""
+    if messages.malformed:
+        text = f", {messages.malformed} malformed lines passed over ({'; '.join(messages.complaints)})"
+    return f"{text}, not read: {messages.not_read}" if messages.not_read else text

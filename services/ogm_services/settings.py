@@ -34,7 +34,7 @@ from ogm_core.grid_settings import (
 from ogm_core.keys import check_name
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.logodds import CellType, LogOdds
-from ogm_core.worlds import YAML_ERRORS
+from ogm_core.strict_yaml import YAML_ERRORS
 from ogm_services.setting_values import (
     LOOPBACK,
     NONE,
@@ -130,10 +130,12 @@ class HttpSettings(_Section):
 
 
 class MapperSettings(_Section):
-    """The mapper's limits.
+    """The mapper's limits, and what its map starts with.
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_beams` of one scan,
-    `pose_wait` in seconds without a message from a robot, `queue` in messages.
+    `pose_wait` in seconds without a message from a robot, `queue` in messages. `start_map` is the YAML file
+    of a ROS map, a relative path starts at the working folder; `start_confidence` the probability that its
+    occupied cells are occupied, and its free ones free.
     """
 
     max_cells: Count = DEFAULT_MAX_CELLS
@@ -141,6 +143,8 @@ class MapperSettings(_Section):
     max_beams: Count = 200_000
     pose_wait: NotNegative = 2.0
     queue: Count = 4096
+    start_map: Annotated[FilePath | None, NONE] = None
+    start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
 
 
 class Settings(BaseModel):
@@ -160,6 +164,10 @@ class Settings(BaseModel):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         self.grid_settings()
+        if self.map.bounds is not None and self.mapper.start_map is not None:
+            raise BadSetting(
+                "map.bounds: a map that starts with mapper.start_map has no bounds; leave out one of the two"
+            )
         return self
 
     def grid_settings(self) -> GridSettings:
@@ -179,8 +187,8 @@ class Settings(BaseModel):
         )
 
     def to_yaml(self) -> str:
-        """Every setting, as a file from which `load_settings` makes equal settings."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        """Every setting that was given, as a file from which `load_settings` makes equal settings."""
+        return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False)
 
 
 class _Given(NamedTuple):

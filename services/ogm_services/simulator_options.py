@@ -13,7 +13,7 @@ MIN_RATE = 0.001
 class SimulatorOptions:
     """World, robots and LiDAR of a simulation; None leaves a value of the LiDAR to `ogm_core.lidar.Lidar`.
 
-    `world`: lab, office, or the path of a world file (YAML). The robots are named robot1,
+    `world`: lab, office, or the path of the YAML file of a world or a ROS map. The robots are named robot1,
     robot2, ... `rate`: scans a second of each robot. `seed` of the noise, None for a fresh one. `beams` of a
     scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range) in metres. `scans`: how
     many each robot takes, None for no end.

@@ -5,16 +5,24 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from log_lines import flaser, parsed
-from ogm_core.recordings import read_carmen
+from log_lines import flaser, odom, parsed, robotlaser
+from ogm_core.carmen import CarmenLog
+from ogm_core.carmen_mount import mount_of_laser
 from ogm_core.types import IDENTITY, Pose
+
+
+def read(*lines, **options):
+    """(messages, complaints) of the lines of a log."""
+    return parsed(CarmenLog(**options).parse_line, *lines)
 
 
 @pytest.mark.parametrize(("beams", "degrees"), [(180, 1.0), (181, 1.0), (360, 0.5), (361, 0.5)])
 def test_a_flaser_line_is_read(beams, degrees):
     ranges = [0.01 * k for k in range(beams)]
-    [scan], complaints = parsed(read_carmen, flaser(ranges))
+    [scan], complaints = read(flaser(ranges))
     assert complaints == []
     assert (scan.robot, scan.sensor) == ("robot1", "laser")
     message = scan.message
@@ -26,6 +34,30 @@ def test_a_flaser_line_is_read(beams, degrees):
     assert (message.stamp, message.seq, message.run) == (32_906_800_000, 0, "")
 
 
+def test_a_robotlaser_line_is_read():
+    [scan], complaints = read(robotlaser([1.1, 2, 0.3], remissions=[7, 8], robot="4 5 6"))
+    assert complaints == []
+    assert (scan.robot, scan.sensor) == ("robot1", "laser")
+    message = scan.message
+    np.testing.assert_array_equal(message.ranges, np.array([1.1, 2, 0.3], np.float32))
+    assert (message.angle_min, message.angle_increment, message.time_increment) == (-1.25, 0.5, 0.0)
+    assert (message.range_min, message.range_max) == (0.0, 30.5)
+    assert (message.pose, message.mount) == (Pose(1.5, -2.5, 0.25), IDENTITY)
+    assert (message.stamp, message.seq, message.run) == (32_906_800_000, 0, "")
+
+
+def test_a_robotlaser_line_may_hold_no_remissions_and_turn_clockwise():
+    [scan], _ = read(robotlaser([5.0], setup="3 2.0 0 -0.25 8 0 1"))
+    assert (scan.message.angle_min, scan.message.angle_increment) == (2.0, -0.25)
+    np.testing.assert_array_equal(scan.message.ranges, np.float32([5.0]))
+
+
+def test_range_max_replaces_that_of_both_forms():
+    for line in (flaser([1] * 180), robotlaser([1, 2]), robotlaser([1, 2], setup="0 0 0 1 0 0 0")):
+        [scan], complaints = read(line, range_max=12.5)
+        assert (scan.message.range_max, complaints) == (12.5, [])
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -34,14 +66,53 @@ def test_a_flaser_line_is_read(beams, degrees):
         b"# FLASER 180",
         b"#x",
         b"ODOM 1 2 3 0 0 0 1 h 1",
+        b"ODOM 1",
         b"NEFF 1",
         b"PARAM a b",
-        b"ROBOTLASER1 0 1",
+        b"ROBOTLASER2 0 1",
+        b"RLASER",
         b"SYNC",
     ],
 )
 def test_other_carmen_lines_are_nothing(text):
-    assert parsed(read_carmen, text) == ([], [])
+    assert read(text) == ([], [])
+
+
+def test_what_is_passed_over_is_counted_by_name():
+    log = CarmenLog()
+    lines = [b"# x", b"", b"SYNC a", b"RLASER 1", b"SYNC b", b"NEFF 3", b"RLASER 2", b"RAWLASER1", odom()]
+    assert parsed(log.parse_line, *lines) == ([], [])
+    assert log.unread == {"SYNC": 2, "RLASER": 2, "NEFF": 1, "RAWLASER1": 1, "ODOM": 1}
+    assert log.lasers_passed_over() == "2 RLASER, 1 RAWLASER1"
+    assert CarmenLog().lasers_passed_over() == ""
+
+
+def test_only_so_many_names_are_told_apart():
+    log = CarmenLog()
+    parsed(log.parse_line, *[b"NAME%d" % (k % 1000) for k in range(1100)])
+    assert (len(log.unread), log.unread["NAME7"], log.unread["others"]) == (51, 2, 1000)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "unread"),
+    [
+        (flaser([1] * 180), robotlaser([1] * 180), {"ROBOTLASER1": 3}),
+        (robotlaser([1] * 180), flaser([1] * 180), {"FLASER": 3}),
+    ],
+)
+def test_of_two_forms_of_one_laser_only_the_first_is_read(first, second, unread):
+    """A log that holds both holds every sweep twice."""
+    log = CarmenLog()
+    messages, complaints = parsed(log.parse_line, *[first, second] * 3)
+    assert (len(messages), complaints, log.unread) == (3, [], unread)
+    assert messages[0].message.range_max == (80.0 if first.startswith(b"FLASER") else 30.5)
+
+
+def test_a_malformed_line_does_not_settle_which_form_is_read():
+    messages, complaints = read(flaser([1] * 90), robotlaser([1] * 90), flaser([1] * 180))
+    assert len(messages) == 1
+    assert messages[0].message.ranges.size == 90
+    assert [number for number, _ in complaints] == [1]
 
 
 @pytest.mark.parametrize(
@@ -50,36 +121,127 @@ def test_other_carmen_lines_are_nothing(text):
         (b"what is this", "not a CARMEN message"),
         (b"\xff\x00", "not a CARMEN message"),
         (b'{"type": "pose"}', "not a CARMEN message"),
+        (b"A" * 65, "not a CARMEN message"),
         (b"FLASER", "FLASER: 180, 181, 360 or 361 .* got b''"),
         (flaser([1] * 90), "FLASER: 180, 181, 360 or 361 .* got b'90'"),
         (b"FLASER 1e2 1", "FLASER: 180, 181, 360 or 361"),
-        (flaser([1] * 180)[:-5], "FLASER: 180 beams need 191 fields, got 190"),
-        (flaser([1] * 180) + b" 1", "FLASER: 180 beams need 191 fields, got 192"),
-        (flaser([1] * 179 + ["x"]), "FLASER: a field is not a number"),
-        (flaser([1] * 180, pose="nan 0 0"), r"pose\[0\]: a finite number"),
-        (flaser([1] * 180, pose="0 0 inf"), r"pose\[2\]: a finite number"),
-        (flaser([1] * 180, odometry="a b c"), "FLASER: a field is not a number"),
-        (flaser([1] * 180, ipc_time="-1"), "stamp: "),
-        (flaser([1] * 180, ipc_time="nan"), "ipc_time: a finite number"),
-        (flaser([1] * 180, ipc_time="1e300"), "ipc_time: a finite number|stamp: "),
-        (flaser([1] * 180, ipc_time="1e10"), "stamp: 0 to"),
+        (flaser([1] * 180)[:-5], "FLASER: 191 fields are needed for 180 beams, got 190"),
+        (flaser([1] * 180) + b" 1", "FLASER: 191 fields are needed for 180 beams, got 192"),
+        (flaser([1] * 179 + ["x"]), r"FLASER: ranges\[179\]: a number is needed, got b'x'"),
+        (flaser([1] * 180, pose="nan 0 0"), "FLASER: laser_pose_x: a finite number is needed, got nan"),
+        (flaser([1] * 180, pose="0 0 inf"), "FLASER: laser_pose_theta: a finite number"),
+        (flaser([1] * 180, odometry="1 b c"), "FLASER: robot_pose_y: a number is needed, got b'b'"),
+        (flaser([1] * 180, ipc_time="now"), "FLASER: ipc_time: a number is needed"),
+        (flaser([1] * 180, ipc_time="-1"), "FLASER: stamp: "),
+        (flaser([1] * 180, ipc_time="nan"), "FLASER: ipc_time: a finite number"),
+        (flaser([1] * 180, ipc_time="1e300"), "FLASER: ipc_time: a finite number|FLASER: stamp: "),
+        (flaser([1] * 180, ipc_time="1e10"), "FLASER: stamp: 0 to"),
     ],
 )
 def test_a_malformed_carmen_line_is_named_and_passed_over(text, reason):
     good = flaser([1] * 180)
-    messages, complaints = parsed(read_carmen, good, text, good)
+    messages, complaints = read(good, text, good)
     assert len(messages) == 2
     [(number, said)] = complaints
     assert number == 2
     assert re.match(reason, said), said
 
 
-def test_carmen_ranges_may_be_any_float():
-    [scan], _ = parsed(read_carmen, flaser(["nan", "inf", "-inf", "0", "-1", "81.83", "1e39"] + [1] * 173))
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b"ROBOTLASER1", "num_readings: missing, the line has only 1 fields"),
+        (b"ROBOTLASER1 0 -1.5 3 0.1 30 0.01 0 5 1 2", "num_remissions: missing, the line has only 11 fields"),
+        (robotlaser([1, 2]).replace(b" 2 1 2 ", b" 2.0 1 2 "), "num_readings: a whole .* got b'2.0'"),
+        (robotlaser([1, 2]).replace(b" 2 1 2 ", b" -2 1 2 "), "num_readings: a whole .* got b'-2'"),
+        (robotlaser([1, 2]).replace(b" 2 1 2 ", b" %s 1 2 " % (b"9" * 5000)), "num_readings: a whole"),
+        (robotlaser([1, 2]).replace(b" 2 1 2 0 ", b" 2 1 2 0.5 "), "num_remissions: a whole"),
+        (robotlaser([1, 2]).replace(b" 2 1 2 0 ", b" 3 1 2 0 "), "num_remissions: a whole .* got b'1.5'"),
+        (
+            robotlaser([1, 2], remissions=[4]) + b" 1",
+            "27 fields are needed for 2 readings and 1 rem.*, got 28",
+        ),
+        (robotlaser([1, 2], safety="0 0 0 0"), "26 fields are needed for 2 readings and 0 rem.*, got 25"),
+        (robotlaser([]), "ranges: 1 to 200000 beams are needed, got 0"),
+        (robotlaser([1, "x"]), r"ranges\[1\]: a number is needed, got b'x'"),
+        (robotlaser([1], remissions=[1, "y"]), r"remissions\[1\]: a number is needed, got b'y'"),
+        (robotlaser([1], setup="SICK 0 3 0.5 30 0 0"), "laser_type: a number is needed, got b'SICK'"),
+        (robotlaser([1], setup="0 nan 3 0.5 30 0 0"), "start_angle: a finite number is needed, got nan"),
+        (robotlaser([1], setup="0 0 wide 0.5 30 0 0"), "field_of_view: a number"),
+        (
+            robotlaser([1], setup="0 0 3 -inf 30 0 0"),
+            "angular_resolution: a finite number is needed, got -inf",
+        ),
+        (robotlaser([1], setup="0 0 3 0 30 0 0"), "angular_resolution: it must not be 0"),
+        (robotlaser([1] * 9, setup="0 0 3 1e308 30 0 0"), "angle_increment: the last beam's bearing"),
+        (robotlaser([1], setup="0 0 3 1 0 0 0"), "maximum_range: above 0 .*, got 0 .--range-max replaces it"),
+        (robotlaser([1], setup="0 0 3 1 -8 0 0"), "maximum_range: above 0 .*, got -8"),
+        (robotlaser([1], setup="0 0 3 1 1e4 0 0"), "maximum_range: .* at most 1000 m is needed, got 10000"),
+        (robotlaser([1], setup="0 0 3 1 inf 0 0"), "maximum_range: a finite number"),
+        (robotlaser([1], pose="0 inf 0"), "laser_pose_y: a finite number"),
+        (robotlaser([1], robot="0 0 x"), "robot_pose_theta: a number"),
+        (robotlaser([1], safety="0 0 0 0 ?"), "turn_axis: a number"),
+        (robotlaser([1], ipc_time="-0.1"), "stamp: 0 to"),
+        (robotlaser([1], ipc_time="inf"), "ipc_time: a finite number"),
+    ],
+)
+def test_a_malformed_robotlaser_line_names_its_field(text, reason):
+    good = robotlaser([1])
+    messages, [(number, said)] = read(good, text, good)
+    assert (len(messages), number) == (2, 2)
+    assert re.match(f"ROBOTLASER1: {reason}", said), said
+
+
+def test_max_beams_holds_for_both_forms():
+    messages, complaints = read(flaser([1] * 180), robotlaser([1] * 5), robotlaser([1] * 4), max_beams=4)
+    assert [message.message.ranges.size for message in messages] == [4]
+    assert [said for _, said in complaints] == [
+        "FLASER: ranges: 1 to 4 beams are needed, got 180",
+        "ROBOTLASER1: ranges: 1 to 4 beams are needed, got 5",
+    ]
+
+
+@pytest.mark.parametrize("line", [flaser, robotlaser])
+def test_carmen_ranges_may_be_any_float(line):
+    [scan], _ = read(line(["nan", "inf", "-inf", "0", "-1", "81.83", "1e39"] + [1] * 173))
     expected = np.array([np.nan, np.inf, -np.inf, 0, -1, 81.83, np.inf], np.float32)
     np.testing.assert_array_equal(scan.message.ranges[:7], expected)
 
 
-def test_hosts_and_logger_times_are_not_looked_at():
-    [scan], _ = parsed(read_carmen, flaser([1] * 180, tail="h\xf6st never"))
+@pytest.mark.parametrize("line", [flaser, robotlaser])
+def test_hosts_and_logger_times_are_not_looked_at(line):
+    [scan], _ = read(line([1] * 180, tail="h\xf6st never"))
     assert scan.message.pose == Pose(1.5, -2.5, 0.25)
+
+
+PARAMETER = b"PARAM robot_frontlaser_offset 0 h 0"
+STRANGE = [
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"1e308",
+    b"-0",
+    b"\xff\xfe",
+    b"x",
+    b"0x1",
+    b"9" * 400,
+    b"-1",
+    b"1.5",
+    b"FLASER",
+]
+
+
+@given(
+    line=st.sampled_from([flaser([1] * 180), robotlaser([1, 2, 3], remissions=[4]), odom()]),
+    changes=st.lists(st.tuples(st.integers(-30, 30), st.sampled_from(STRANGE)), max_size=4),
+    dropped=st.integers(0, 12),
+)
+def test_any_line_is_read_or_refused_as_malformed(line, changes, dropped):
+    tokens = line.split()
+    for at, token in changes:
+        tokens[at % len(tokens)] = token
+    log = CarmenLog(mount=IDENTITY)
+    messages, complaints = parsed(log.parse_line, b" ".join(tokens[dropped:]))
+    assert len(messages) + len(complaints) + log.unread.total() <= 1
+    mount = mount_of_laser([b" ".join(tokens), odom(), PARAMETER], CarmenLog(mount=IDENTITY))
+    assert all(map(math.isfinite, mount))

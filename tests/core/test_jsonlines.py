@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,20 +12,21 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from log_lines import POSE, SCAN, line, parsed, same
-from ogm_core.recordings import RecordedPose, RecordedScan, read_jsonl, to_line
+from ogm_core.jsonlines import parse_line, to_line
+from ogm_core.recordings import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def test_a_pose_line_is_read():
-    messages, complaints = parsed(read_jsonl, line(POSE))
+    messages, complaints = parsed(parse_line, line(POSE))
     assert messages == [RecordedPose("r1", PoseStamped(10, Pose(1.0, 2.0, 0.5), 1, "a"))]
     assert complaints == []
 
 
 def test_a_scan_line_is_read():
-    [scan], _ = parsed(read_jsonl, line(SCAN, mount=[0.1, 0.2, 0.3], pose=[1, 2, 3], time_increment=1e-4))
+    [scan], _ = parsed(parse_line, line(SCAN, mount=[0.1, 0.2, 0.3], pose=[1, 2, 3], time_increment=1e-4))
     assert (scan.robot, scan.sensor) == ("r1", "front")
     message = scan.message
     assert (message.stamp, message.seq, message.run) == (20, 2, "")
@@ -78,7 +80,7 @@ def test_a_scan_line_is_read():
     ],
 )
 def test_a_malformed_line_is_named_and_passed_over(text, reason):
-    messages, complaints = parsed(read_jsonl, line(POSE), text, line(POSE))
+    messages, complaints = parsed(parse_line, line(POSE), text, line(POSE))
     assert len(messages) == 2
     [(number, said)] = complaints
     assert number == 2
@@ -90,24 +92,24 @@ def test_every_missing_field_is_named(fields):
     optional = {"run"}
     for name in fields.keys() - optional:
         rest = {key: value for key, value in fields.items() if key != name}
-        messages, [(_, said)] = parsed(read_jsonl, line(rest))
+        messages, [(_, said)] = parsed(parse_line, line(rest))
         assert messages == []
         assert said.startswith(f"{name}: ")
 
 
 def test_blank_lines_are_nothing_but_count_as_lines():
-    messages, complaints = parsed(read_jsonl, b"", b"  \t", line(POSE) + b"\r", b"x")
+    messages, complaints = parsed(parse_line, b"", b"  \t", line(POSE) + b"\r", b"x")
     assert len(messages) == 1
     assert [number for number, _ in complaints] == [4]
 
 
 def test_numbers_beyond_float32_read_as_infinite():
-    [scan], _ = parsed(read_jsonl, line(SCAN, ranges=[1e39, -1e39, 3.4e38]))
+    [scan], _ = parsed(parse_line, line(SCAN, ranges=[1e39, -1e39, 3.4e38]))
     np.testing.assert_array_equal(scan.message.ranges, np.array([np.inf, -np.inf, 3.4e38], np.float32))
 
 
 def test_max_beams_holds_for_logs_too():
-    messages, complaints = parsed(read_jsonl, line(SCAN), max_beams=4)
+    messages, complaints = parsed(partial(parse_line, max_beams=4), line(SCAN))
     assert (messages, complaints) == ([], [(1, "ranges: 1 to 4 beams are needed, got 5")])
 
 
@@ -124,7 +126,7 @@ def test_a_line_reads_back_bit_for_bit(ranges, numbers, stamp, run):
     written = [RecordedPose("r", PoseStamped(stamp, pose, stamp, run)), RecordedScan("r", "s", scan)]
     lines = [to_line(message).encode() for message in written]
     assert not any(b"\n" in text for text in lines)
-    back, complaints = parsed(read_jsonl, *lines)
+    back, complaints = parsed(parse_line, *lines)
     assert complaints == []
     assert len(back) == 2
     assert all(map(same, written, back))
@@ -135,7 +137,7 @@ def test_every_kind_of_float32_reads_back():
     ranges = bits.view(np.float32)
     ranges[np.isnan(ranges)] = np.nan
     scan = Scan(0, 0.0, 1e-6, 0.0, 1.0, ranges)
-    [back], _ = parsed(read_jsonl, to_line(RecordedScan("r", "s", scan)).encode())
+    [back], _ = parsed(parse_line, to_line(RecordedScan("r", "s", scan)).encode())
     assert back.message.ranges.tobytes() == ranges.tobytes()
 
 

@@ -79,6 +79,46 @@ def test_update_in_stored_units():
     assert fixed.prior == 0
 
 
+@pytest.mark.parametrize("settings", [{}, SKEWED, {"l_min": -9.0, "l_max": 3.0}])
+def test_int16_stores_the_nearest_step_and_the_known_bit(settings):
+    model = LogOdds(**settings)
+    wanted = np.random.default_rng(3).uniform(-10.0, 10.0, (40, 50))
+    known = np.random.default_rng(4).random((40, 50)) < 0.8
+    cells = model.store(wanted, known)
+    assert (cells.dtype, cells.shape) == (np.int16, (40, 50))
+    assert np.array_equal(model.known(cells), known)
+    clamped = np.clip(wanted, model.l_min, model.l_max)
+    assert np.abs(model.log_odds(cells) - clamped)[known].max() <= 0.5001 * model.step
+    assert not cells[~known].any()
+    lower, upper = (value + 1 for value in model.update[2:4])
+    assert (cells[known].min(), cells[known].max()) == (lower, upper), (
+        "the clamps, as a beam would reach them"
+    )
+
+
+def test_int16_store_is_the_inverse_of_log_odds():
+    model = LogOdds(**SKEWED)
+    cells = np.arange(model.update.lower + 1, model.update.upper + 2, 2, dtype=np.int16)
+    assert np.array_equal(model.store(model.log_odds(cells), np.ones(cells.shape, np.bool_)), cells)
+
+
+def test_float64_stores_log_odds_as_they_are_and_zero_as_minus_zero():
+    model = LogOdds("float64", **SKEWED)
+    wanted = np.array([0.0, -0.0, 1 / 3, -7.5, 99.0, 0.0, 5.0])
+    known = np.array([True, True, True, True, True, False, False])
+    cells = model.store(wanted, known)
+    assert cells.dtype == np.float64
+    assert model.known(cells).tolist() == known.tolist()
+    assert cells.tolist() == [0.0, 0.0, 1 / 3, -4.0, 6.0, 0.0, 0.0]
+    assert np.signbit(cells).tolist() == [True, True, False, True, False, False, False]
+    assert model.log_odds(cells)[:5].tolist() == [0.0, 0.0, 1 / 3, -4.0, 6.0]
+
+
+def test_a_known_zero_at_a_clamp_stays_known():
+    model = LogOdds("float64", p_prior=0.3, p_occ=0.6, p_free=0.2, l_min=-4.0, l_max=0.0)
+    assert model.known(model.store(np.array([3.0]), np.array([True]))).tolist() == [True]
+
+
 def test_increments_never_exceed_the_distance_between_the_clamps():
     update = LogOdds(p_occ=1.0, p_free=0.0, l_min=-0.5, l_max=0.25).update
     assert update.upper - update.lower == update.occupied == -update.free

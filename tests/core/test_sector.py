@@ -146,6 +146,8 @@ def test_poses_aligned_with_the_lattice(count, theta):
     ("count", "increment"),
     [
         (361, TURN / 360),  # the last beam looks where the first one does
+        (76, TURN / 75),  # and here but for rounding
+        (301, -TURN / 300),
         (361, float(np.float32(TURN / 360))),
         (360, float(np.float32(TURN / 360))),
         (720, TURN / 360),  # twice round

@@ -1,4 +1,5 @@
 import math
+import subprocess
 import sys
 
 import numpy as np
@@ -158,7 +159,7 @@ def test_aliases_are_read():
         ("3: 4\n" + PATH, "unknown key 3;"),
         ("name: 7\ncircles: [[0, 0, 1]]\n" + PATH, "name: text is needed, got 7"),
         ("name: ''\ncircles: [[0, 0, 1]]\n" + PATH, "name: text is needed"),
-        ("image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]", "map files as worlds are not read yet"),
+        ("image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]", "this is a ROS map file: give its path"),
         # Circles, boxes, walls.
         ("circles: 3\n" + PATH, r"circles: a list of \[cx, cy, r\] is needed, got 3"),
         ("circles: {a: 1}\n" + PATH, "circles: a list .* got a mapping"),
@@ -207,7 +208,7 @@ def test_aliases_are_read():
     ],
 )
 def test_refusals(text, message):
-    with pytest.raises(BadWorld, match=f"(?s)^(this is a ROS map file; )?{message}") as caught:
+    with pytest.raises(BadWorld, match=f"(?s)^{message}") as caught:
         load_world(text)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
@@ -260,3 +261,12 @@ def test_missing_files_name_the_built_in_worlds(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(BadWorld, match=r"built-in world \(lab, office\)"):
         world_named(name)
+
+
+def test_worlds_load_neither_pictures_nor_ways():
+    code = (
+        "import sys; from ogm_core.worlds import world_named; world_named('office')\n"
+        "print({'PIL', 'scipy', 'ogm_core.patrol'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

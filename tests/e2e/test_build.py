@@ -123,12 +123,12 @@ def test_bad_input_is_one_line_and_nothing_is_written(ogm, lab_recording):
     (ogm.folder / "folder.jsonl").mkdir()
     expected = {
         "missing.jsonl": "missing.jsonl: cannot be read (No such file or directory)",
-        "folder.jsonl": "folder.jsonl: cannot be read (Is a directory)",
+        "folder.jsonl": "folder.jsonl: a folder: give a log that is in it",
         "cut.jsonl.gz": "truncated",
         "empty.jsonl": "holds no scan",
         "poses.jsonl": "holds no scan, only 1 poses",
         "malformed.jsonl": "holds no scan; 2 lines are malformed, first line 1: not JSON",
-        "map.bag": "not a format that is read",
+        "map.bag": "a ROS 1 bag, not a format that is read: convert it to JSON lines",
     }
     builds = {name: ogm.start("build", name, "--out", "built") for name in expected}
     unwritable = ogm.start("build", lab_recording, "--out", "file/built")

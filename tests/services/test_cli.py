@@ -22,10 +22,11 @@ MAP_FLAGS = (
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port"
-LOG_FLAGS = "--range-max --robot"
+MAPPER_FLAGS = "--start-map --start-confidence"
+LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
     "demo": f"--world --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
-    "mapper": f"--out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
+    "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
     "simulate": "--robots --rate --seed --world --beams --fov --range-max --noise --out --scans --config "
     + NETWORK_FLAGS,
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
@@ -220,17 +221,18 @@ def test_simulate_records_without_network(ogm, stub):
 @pytest.mark.parametrize(("text", "speed"), [("1", 1.0), ("2.5", 2.5), ("max", None)])
 def test_replay(ogm, stub, text, speed):
     run = stub("ogm_services.replay", "run_replay")
-    result = ogm("replay", "a.log", "--speed", text, "--range-max", "50", "--robot", "r2", "--map", "m")
+    flags = f"--speed {text} --range-max 50 --robot r2 --odometry --map m"
+    result = ogm("replay", "a.log", *flags.split())
     assert result.exit_code == 0
     log, network = run.args
     assert (log, network.map_name) == (Path("a.log"), "m")
-    assert run.options == {"speed": speed, "range_max": 50.0, "robot": "r2"}
+    assert run.options == {"speed": speed, "range_max": 50.0, "robot": "r2", "odometry": True}
 
 
 def test_replay_runs_as_recorded_unless_told_otherwise(ogm, stub):
     run = stub("ogm_services.replay", "run_replay")
     ogm("replay", "a.log")
-    assert run.options == {"speed": 1.0, "range_max": None, "robot": None}
+    assert run.options == {"speed": 1.0, "range_max": None, "robot": None, "odometry": False}
 
 
 def test_build(ogm, stub):
@@ -239,7 +241,7 @@ def test_build(ogm, stub):
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     log, out, settings = run.args
     assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
-    assert run.options == {"range_max": 8.0, "robot": None, "hold_out": 5}
+    assert run.options == {"range_max": 8.0, "robot": None, "odometry": False, "hold_out": 5}
 
 
 def test_bad_input_found_later_is_exit_code_2(ogm, stub):

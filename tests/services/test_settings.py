@@ -35,6 +35,7 @@ def test_defaults_are_those_of_the_core(load):
     limits = settings.mapper
     assert (limits.max_cells, limits.max_bytes) == (10**8, 2 * 1024**3)
     assert (limits.max_beams, limits.pose_wait, limits.queue) == (200_000, 2.0, 4096)
+    assert (limits.start_map, limits.start_confidence) == (None, 0.9)
 
 
 LAB = GridSettings(
@@ -164,6 +165,10 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("mapper.max_cells", "1.5e0", "valid integer"),
         ("mapper.pose_wait", "-1", "greater than or equal to 0"),
         ("mapper.queue", "0", "greater than or equal to 1"),
+        ("mapper.start_map", "/nowhere/map.yaml", "file"),
+        ("mapper.start_confidence", "0.5", "greater than 0.5"),
+        ("mapper.start_confidence", "1", "less than 1"),
+        ("mapper.start_confidence", "nan", "finite"),
         ("network.listen", "localhost:7447", "an endpoint such as tcp/127.0.0.1:7447"),
         ("network.zenoh_config", "/nowhere/zenoh.json5", "file"),
     ],
@@ -186,6 +191,7 @@ def test_a_bad_value_is_refused_with_its_key_its_source_and_what_is_allowed(load
         ({"flags": {"network": {"listen": "x"}}}, "(--listen)"),
         ({"flags": {"http": {"port": "x"}}}, "(--http-port)"),
         ({"flags": {"map": {"p_occ": "x"}}}, "(--p-occ)"),
+        ({"flags": {"mapper": {"start_confidence": "x"}}}, "(--start-confidence)"),
         ({"file": "map: {preset: [lab]}"}, "ogm.yaml)"),
     ],
 )
@@ -273,6 +279,7 @@ def test_settings_survive_their_own_yaml(load, tmp_path):
     assert load(file=settings.to_yaml()) == settings
     assert load(file=Settings().to_yaml()) == Settings()
     assert yaml.safe_load(settings.to_yaml())["map"]["p_occ"] == 2 / 3
+    assert "resolution" not in yaml.safe_load(load(flags={"map": {"alpha": "0.2"}}).to_yaml())["map"]
 
 
 def test_children_get_no_settings_from_the_environment():

@@ -34,6 +34,7 @@ from ogm_services.mapper.worker import Worker
 from ogm_services.mapper.zenoh_side import ZenohSide
 from ogm_services.output import check_folder, write_map
 from ogm_services.settings import Settings
+from ogm_services.start_map import started_grid
 
 LIVE_MAP = "live map"
 """What the line with the URL begins with that a mapper prints when it is ready."""
@@ -56,7 +57,7 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     Raises:
         CannotServe, CannotListen, CannotConnect: an address is taken or unreachable.
         AlreadyMapped: another mapper of this map is alive.
-        BadInput: the folder `out` cannot be written.
+        BadInput: the folder `out` cannot be written, or the map that it starts with is not what is needed.
     """
     if out is not None:
         check_folder(out)
@@ -82,10 +83,11 @@ class MapperService:
     """
 
     def __init__(self, settings: Settings) -> None:
-        grid_settings = settings.grid_settings()
+        grid = started_grid(settings, uuid.uuid4().hex)
         limits = settings.mapper
         self._settings = settings
-        self.live_map = LiveMap(OccupancyGrid(grid_settings, uuid.uuid4().hex))
+        self._grid_settings = grid.settings
+        self.live_map = LiveMap(grid)
         ledger, inbox = Ledger(), Inbox(limits.queue)
         mapper = Mapper(self.live_map, ledger)
         self._inbox, self._ledger = inbox, ledger
@@ -132,7 +134,7 @@ class MapperService:
         zenoh_side.claim()
         opening.enter_context(self._http(listener))
         with held_signals():
-            warm_up(self._settings.grid_settings())
+            warm_up(self._grid_settings)
         self._worker.start()
         opening.callback(self._worker.stop)
         zenoh_side.declare(self._answers, self.reset)

@@ -1,0 +1,54 @@
+"""YAML into plain values, refusing what YAML libraries silently let through."""
+
+from collections.abc import Hashable, Mapping
+from typing import Any
+
+import yaml
+
+# What PyYAML lets through, beside its own error, from a scalar that is not what its tag says (!!bool maybe),
+# from a date that does not exist, and from an integer of thousands of digits.
+YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
+_PRINTABLE = 1e6
+"""Integers beyond this are not spelt out."""
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice, where YAML libraries silently keep the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                text = f"key {key.value!r} is given twice"
+                raise yaml.constructor.ConstructorError(None, None, text, key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def parse_yaml(text: str) -> object:
+    """The plain value that YAML text stands for.
+
+    Raises:
+        ValueError: it is not YAML, or gives a key twice; the text says why, in one line.
+    """
+    try:
+        # _Loader is a SafeLoader: it makes plain values only.
+        return yaml.load(text, Loader=_Loader)
+    except YAML_ERRORS as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"not YAML that can be read ({reason[:300]})") from error
+
+
+def shown(value: object) -> str:
+    """A value in a few words: a list may hold itself, an integer may be too long to print."""
+    match value:
+        case None:
+            return "nothing"
+        case Mapping():
+            return "a mapping"
+        case list() | tuple():
+            return f"a list of {len(value)}"
+        case int() if abs(value) > _PRINTABLE:
+            return f"one beyond {_PRINTABLE:g}"
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."
