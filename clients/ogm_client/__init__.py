@@ -14,6 +14,7 @@ from ogm_client.errors import (
 )
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
+from ogm_client.raycast import Ray, Rays
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import DEFAULT_ADDRESS
 from ogm_core.errors import OgmError
@@ -29,5 +30,7 @@ __all__ = [
     "MapperError",
     "NobodyAnswered",
     "OgmError",
+    "Ray",
+    "Rays",
     "RobotPublisher",
 ]

@@ -2,15 +2,19 @@
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.lattice import Lattice
-from ogm_core.logodds import LogOdds, probability_of
+from ogm_client.notebook import html_of
+from ogm_client.raycast import Ray, RayCaster, Rays
+from ogm_core.errors import BadParameter
+from ogm_core.lattice import Lattice, Region
+from ogm_core.logodds import Cells, LogOdds, probability_of
 from ogm_core.map_files import encode_pgm, encode_png, encode_yaml
 from ogm_core.palettes import trinary
 from ogm_core.snapshot import MapSnapshot
@@ -30,7 +34,7 @@ class MapGrid:
     `log_odds` is ln(p / (1 - p)) of "occupied", NaN where unknown; float64 of a float64 map, else float32.
     `resolution` is metres per cell; `anchor` the world position of the lower-left corner of cell (0, 0), m;
     `epoch` and `revision` name the map's state; `stamp` is its newest scan's, ns since the Unix epoch, or
-    None.
+    None. A notebook shows a grid as a picture with a scale bar.
     """
 
     log_odds: NDArray[np.floating[Any]]
@@ -92,17 +96,82 @@ class MapGrid:
             return math.nan
         return float(probability_of(self.log_odds[row : row + 1, column])[0])
 
-    def save_png(self, path: str | os.PathLike[str], palette: str = "ros") -> None:
-        """Write an 8-bit grey PNG, north up.
+    def crop(self, region: Sequence[float]) -> "MapGrid":
+        """The part that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward to cells; a copy.
+
+        What lies outside this grid is left out. An empty grid crops to itself.
+
+        Raises:
+            BadParameter: the region is not four finite numbers, inverted, or wholly outside this grid.
+        """
+        # Cropping moves cells without reading them, so they may stay as they are.
+        part = self._snapshot_of(self.log_odds).crop(_region(region))
+        return replace(self, log_odds=part.cells.copy(), offset=part.offset)
+
+    @overload
+    def raycast(self, x: float, y: float, theta: float, max_range: float = math.inf) -> Ray: ...
+    @overload
+    def raycast(
+        self, x: float, y: float, theta: NDArray[Any] | Sequence[float], max_range: float = math.inf
+    ) -> Rays: ...
+    def raycast(
+        self,
+        x: float,
+        y: float,
+        theta: float | NDArray[Any] | Sequence[float],
+        max_range: float = math.inf,
+    ) -> Ray | Rays:
+        """What a beam from the point (x, y), m, along `theta` would read in this map.
+
+            wall = grid.raycast(1.0, 2.0, math.pi / 2).range
+            scan = grid.raycast(x, y, theta + bearings, max_range=30.0).range
+
+        `theta` in rad, counter-clockwise from the map's x axis; of an array, a ray each, and the result's
+        arrays have its shape. A ray ends where it enters the first cell that is not free, as `occupancy` has
+        it, at the latest where it leaves this grid, or after `max_range` m. The cell that it starts in is
+        not asked. (Amanatides & Woo 1987.)
+
+        Raises:
+            BadParameter: the point or `theta` is not finite, the point lies outside this grid, or
+                `max_range` is not positive.
+            MapEmpty: there is no cell.
+        """
+        bearings = np.asarray(theta, np.float64)
+        if not np.isfinite(bearings).all():
+            raise BadParameter("theta: finite radians are needed")
+        caster = RayCaster(self.log_odds, self._lattice, self.offset, (x, y), max_range)
+        if bearings.ndim == 0:
+            return caster.cast(float(bearings))
+        rays = [caster.cast(bearing) for bearing in bearings.ravel().tolist()]
+        return Rays(
+            np.array([ray.range for ray in rays], np.float64).reshape(bearings.shape),
+            np.array([ray.found for ray in rays], np.str_).reshape(bearings.shape),
+        )
+
+    def to_png(self, palette: str = "ros", max_size: int | None = None) -> bytes:
+        """An 8-bit grey PNG, north up, a pixel per cell.
 
         `palette` "ros": 0 occupied, 254 free, 205 undecided or unknown; "probability": brighter is more
-        likely occupied, 127 unknown.
+        likely occupied, 127 unknown. With `max_size` no side is longer, in pixels: cells are joined in
+        square blocks, where occupied wins, then free.
 
         Raises:
             MapEmpty: there is no cell to draw.
-            BadParameter: no such palette.
+            BadParameter: no such palette, or `max_size` is below 1.
         """
-        Path(path).write_bytes(encode_png(self._snapshot(), palette))
+        snap = self._snapshot()
+        return encode_png(snap if max_size is None else snap.shrink(max_size), palette)
+
+    def save_png(
+        self, path: str | os.PathLike[str], palette: str = "ros", max_size: int | None = None
+    ) -> None:
+        """Write what `to_png` gives.
+
+        Raises:
+            MapEmpty: there is no cell to draw.
+            BadParameter: as `to_png`.
+        """
+        Path(path).write_bytes(self.to_png(palette, max_size))
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write a NumPy archive of the arrays that the mapper's own map.npz holds."""
@@ -137,9 +206,25 @@ class MapGrid:
     def _lattice(self) -> Lattice:
         return Lattice(self.resolution, self.anchor)
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return html_of(self._snapshot())
+
     def _snapshot(self) -> MapSnapshot:
         """The same cells as the core stores float64 ones: a known log odds of zero is -0.0, unknown +0.0."""
         exact = self.log_odds.astype(np.float64)
-        cells = np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0)
+        return self._snapshot_of(np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0))
+
+    def _snapshot_of(self, cells: Cells) -> MapSnapshot:
         model = LogOdds(cells="float64")
         return MapSnapshot(cells, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
+
+
+def _region(values: Sequence[float]) -> Region:
+    try:
+        xmin, ymin, xmax, ymax = map(float, values)
+    except (TypeError, ValueError) as error:
+        raise BadParameter(
+            f"region: four numbers xmin, ymin, xmax, ymax are needed, got {values!r}"
+        ) from error
+    return Region(xmin, ymin, xmax, ymax)

@@ -1,5 +1,6 @@
 """A map in the user's hands: where its cells lie, what they mean, and the files it writes."""
 
+import io
 import math
 
 import numpy as np
@@ -70,6 +71,81 @@ def test_a_picture_is_north_up(tmp_path, palette, pixels):
         np.testing.assert_array_equal(np.asarray(image), pixels)
 
 
+@pytest.mark.parametrize(
+    ("options", "pixels"),
+    [
+        ({}, [[205, 205], [254, 205], [205, 0]]),
+        ({"palette": "probability"}, [[163, 128], [48, 128], [127, 168]]),
+        ({"max_size": 3}, [[205, 205], [254, 205], [205, 0]]),
+        ({"max_size": 2}, [[205], [0]]),  # blocks from the lower-left cell: the lower one holds a wall
+        ({"max_size": 1}, [[0]]),
+        ({"palette": "probability", "max_size": 2}, [[128], [168]]),
+    ],
+)
+def test_a_picture_as_bytes_is_the_file_s(tmp_path, options, pixels):
+    png = grid_of().to_png(**options)
+    with Image.open(io.BytesIO(png)) as image:
+        assert (image.format, image.mode) == ("PNG", "L")
+        np.testing.assert_array_equal(np.asarray(image), pixels)
+    grid_of().save_png(tmp_path / "map.png", **options)
+    assert (tmp_path / "map.png").read_bytes() == png
+
+
+def test_a_picture_has_a_pixel_at_least():
+    with pytest.raises(BadParameter, match="max_size"):
+        grid_of().to_png(max_size=0)
+
+
+@pytest.mark.parametrize(
+    ("region", "offset", "cells"),
+    [
+        ((9.0, -18.0, 10.0, -16.5), (-2, 4), [[0, 1], [2, 3], [4, 5]]),
+        ((9.1, -17.4, 9.2, -17.3), (-2, 5), [[2]]),  # rounded outward
+        ((9.4, -17.6, 9.6, -17.4), (-2, 4), [[0, 1], [2, 3]]),
+        ((9.5, -17.5, 10.0, -17.0), (-1, 5), [[3]]),  # along the edges of cells: not one cell more
+        ((9.7, -99, 99, 99), (-1, 4), [[1], [3], [5]]),
+        (np.array([-1e300, -17, 9.5, 1e300]), (-2, 6), [[4]]),
+        ([9, -18, 10, -17], (-2, 4), [[0, 1], [2, 3]]),
+    ],
+)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_part_is_a_copy_of_its_cells(region, offset, cells, dtype):
+    grid = grid_of(np.arange(6, dtype=dtype).reshape(3, 2))
+    part = grid.crop(region)
+    np.testing.assert_array_equal(part.log_odds, cells)
+    assert part.log_odds.dtype == dtype
+    assert part.offset == offset
+    assert (part.resolution, part.anchor) == (grid.resolution, grid.anchor)
+    assert (part.epoch, part.revision, part.stamp) == ("e", 3, None)
+    assert not np.shares_memory(part.log_odds, grid.log_odds)
+
+
+def test_a_point_of_a_part_is_that_of_the_whole():
+    grid, point = grid_of(), (9.75, -17.75)
+    part = grid.crop((9.6, -17.9, 9.7, -17.8))
+    assert part.world_to_cell(*point) == grid.world_to_cell(*point)
+    assert part.at(*point) == grid.at(*point) == pytest.approx(0.66)
+    assert math.isnan(part.at(9.25, -17.25))
+    np.testing.assert_array_equal(part.crop((0, -99, 99, 0)).log_odds, part.log_odds)
+
+
+@pytest.mark.parametrize(
+    ("region", "message"),
+    [
+        ((10.0, -18.0, 11.0, -16.0), "wholly outside the map, x 9 to 10, y -18 to -16.5 m"),
+        ((10.0, -18.0, 9.0, -16.5), "xmin < xmax"),
+        ((9.0, -18.0, 9.0, -16.5), "xmin < xmax"),
+        ((9.0, -18.0, 10.0, math.nan), "finite"),
+        ((9.0, -18.0, 10.0), "region: four numbers"),
+        (("west", -18.0, 10.0, 0.0), "region: four numbers"),
+        (3.0, "region: four numbers"),
+    ],
+)
+def test_a_region_that_is_none(region, message):
+    with pytest.raises(BadParameter, match=message):
+        grid_of().crop(region)
+
+
 def test_an_unknown_palette(tmp_path):
     with pytest.raises(BadParameter, match="palette"):
         grid_of().save_png(tmp_path / "map.png", palette="rainbow")
@@ -116,3 +192,10 @@ def test_an_empty_map_has_no_picture(tmp_path, save):
     with pytest.raises(MapEmpty):
         getattr(grid, save)(tmp_path / "map")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_map_crops_to_itself():
+    part = grid_of(np.empty((0, 0)), offset=(0, 0)).crop((0, 0, 1, 1))
+    assert (part.width, part.height, part.offset) == (0, 0, (0, 0))
+    with pytest.raises(MapEmpty):
+        part.to_png(max_size=10)

@@ -18,6 +18,8 @@ def test_the_public_names_are_these():
         "MapperError",
         "NobodyAnswered",
         "OgmError",
+        "Ray",
+        "Rays",
         "RobotPublisher",
     ]
     assert all(hasattr(ogm_client, name) for name in ogm_client.__all__)
@@ -30,9 +32,15 @@ def test_every_error_of_the_client_is_caught_as_one():
     assert issubclass(ogm_client.ClientError, ogm_client.OgmError)
 
 
-def test_importing_it_is_light():
-    heavy = {"numba", "llvmlite", "fastapi", "uvicorn", "typer", "pydantic"}
-    program = f"import sys, ogm_client; print({heavy} & set(sys.modules))"
+def test_importing_and_using_it_is_light():
+    heavy = {"numba", "llvmlite", "fastapi", "uvicorn", "typer", "pydantic", "matplotlib", "scipy"}
+    use = "grid.raycast(0.0, 0.0, 0.0), grid.crop((0, 0, 1, 1)), grid._repr_html_()"
+    program = (
+        "import sys, numpy, ogm_client\n"
+        "grid = ogm_client.MapGrid(numpy.ones((2, 2)), 1.0, (0.0, 0.0), (0, 0), 'e', 1, None)\n"
+        f"{use}\n"
+        f"print({heavy} & set(sys.modules))"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
     )
