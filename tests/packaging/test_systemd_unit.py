@@ -1,0 +1,69 @@
+"""docker/ogm-mapper.service: systemd reads it, and ogm takes what it says."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from ogm_services.cli import app
+from ogm_services.exit_codes import BAD_INPUT
+from ogm_services.settings import load_settings
+
+UNIT = Path(__file__).parents[2] / "docker/ogm-mapper.service"
+ON = ("DynamicUser", "ProtectHome", "PrivateTmp", "PrivateDevices", "NoNewPrivileges", "RestrictNamespaces")
+
+
+@pytest.fixture(scope="module")
+def service():
+    """Values of every key of the section [Service], in order."""
+    found, section = {}, None
+    for line in UNIT.read_text().splitlines():
+        if match := re.fullmatch(r"\[(\w+)\]", line):
+            section = match[1]
+        elif section == "Service" and line and not line.startswith("#"):
+            key, _, value = line.partition("=")
+            found.setdefault(key, []).append(value)
+    return found
+
+
+@pytest.fixture(scope="module")
+def environ(service):
+    return dict(word.split("=", 1) for line in service["Environment"] for word in shlex.split(line))
+
+
+def test_ogm_takes_the_command_and_the_settings(service, environ):
+    ((program, name, *flags),) = map(shlex.split, service["ExecStart"])
+    assert Path(program).name == "ogm"
+    typer.main.get_command(app).commands[name].make_context(name, flags)
+    settings = load_settings(config=None, flags={}, environ=environ)
+    assert settings.network.listen == ("tcp/127.0.0.1:7447",)
+    assert (settings.http.host, settings.http.port) == ("127.0.0.1", 8000)
+
+
+def test_kernels_go_to_the_one_folder_that_may_be_written(service, environ):
+    (cache,) = service["CacheDirectory"]
+    assert environ["NUMBA_CACHE_DIR"] == f"%C/{cache}"
+    assert service["ProtectSystem"] == ["strict"]
+    assert [service[key] for key in ON] == [["yes"]] * len(ON)
+    assert service["CapabilityBoundingSet"] == [""]
+    assert "MemoryDenyWriteExecute" not in service
+
+
+def test_it_starts_again_after_a_failure_but_not_with_bad_settings(service):
+    assert service["Restart"] == ["on-failure"]
+    assert service["RestartPreventExitStatus"] == [str(BAD_INPUT)]
+
+
+def test_systemd_finds_no_fault(tmp_path):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not installed")
+    copy = tmp_path / UNIT.name
+    copy.write_text(UNIT.read_text().replace("/opt/ogm/bin/ogm", sys.executable))
+    ended = subprocess.run(["systemd-analyze", "verify", copy], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert UNIT.name not in ended.stderr, ended.stderr  # what it says of this system's own units is not ours
