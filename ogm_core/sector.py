@@ -39,9 +39,21 @@ Spans = NDArray[np.int32]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _height(row: int, fv: float) -> float:
+    """How far the cell centres of a row lie above the sensor, cells."""
+    return row + 0.5 - fv
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _row(y: float, fv: float) -> int:
-    """The lowest row whose cell centres lie at or above y cells from the sensor."""
-    return math.ceil(y - 0.5 + fv)
+    """The lowest row whose height is y or more; by the very heights that meetings are computed from.
+
+    An edge that is almost parallel to a row is met where rounding says; all edges of a ray must agree on it.
+    """
+    row = math.ceil(y - 0.5 + fv)
+    if _height(row - 1, fv) >= y:
+        return row - 1
+    return row if _height(row, fv) >= y else row + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -53,7 +65,8 @@ def _radial(
     if first == last:
         return n
     edges[0, n], edges[1, n], edges[2, n] = min(first, last), max(first, last), bit
-    edges[3, n], edges[4, n] = c / s if s != 0.0 else 0.0, 0.0
+    slope = c / s
+    edges[3, n], edges[4, n] = slope if math.isfinite(slope) else 0.0, 0.0
     edges[5, n], edges[6, n] = min(near * c, far * c), max(near * c, far * c)
     return n + 1
 
@@ -127,7 +140,7 @@ def spans(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fu: float, fv
     for e in range(edges.shape[1]):
         bit, slope, radius = int(edges[2, e]), edges[3, e], edges[4, e]
         for row in range(int(edges[0, e]), int(edges[1, e])):
-            v = row + 0.5 - fv
+            v = _height(row, fv)
             x = (
                 slope * v
                 if radius == 0.0

@@ -126,10 +126,12 @@ def test_random_scans(field, lattice):
     assert totals.min() > 1000
 
 
-ALIGNED = (0.0, 0.5, 0.25, 1e-13, 1.0 - 1e-13, 0.5 + 1e-14)
+ALIGNED = (0.0, 0.5, 0.25, 1e-13, 1.0 - 1e-13, 0.5 + 1e-14, 0.5 + 2**-52, 0.5 - 2**-53)
 
 
-@pytest.mark.parametrize("theta", [0.0, math.pi / 2, -math.pi, math.pi / 4, 4 * math.pi, 1e-15])
+@pytest.mark.parametrize(
+    "theta", [0.0, math.pi / 2, -math.pi, math.pi / 4, 4 * math.pi, 1e-15, 1e-17, -1e-17]
+)
 @pytest.mark.parametrize("count", [4, 8, 12, 90, 360])
 def test_poses_aligned_with_the_lattice(count, theta):
     """Edges of sectors, ends of beams and the sensor lie on cell centres, corners and grid lines."""
@@ -139,7 +141,26 @@ def test_poses_aligned_with_the_lattice(count, theta):
         ranges = rng.choice([0.5, 1.0, 1.25, 2.0, 0.25, 8.0], count)
         scan = scan_of(ranges, angle_min=(0.0, -math.pi, increment / 2)[n % 3], angle_increment=increment)
         settings = settings_of(resolution=0.25, alpha=(0.0, 0.25, 0.5)[n % 3])
-        assert_every_cell(scan, Pose((3 + fu) * 0.25, (-2 + fv) * 0.25, theta), settings)
+        assert_every_cell(scan, Pose((3 + fu) * 0.25, fv * 0.25, theta), settings)
+
+
+@pytest.mark.parametrize(
+    "theta", [k * math.pi / 2 + tiny for k in (0, 1, -1, 2) for tiny in (0.0, 1e-17, -1e-17, 1e-310)]
+)
+def test_edges_of_sectors_along_rows_of_cell_centres(theta):
+    """Such an edge and a row are almost parallel: where they meet is known to no digit."""
+    rng = np.random.default_rng(11)
+    for fv in (0.5, 0.5 + 2**-53, 0.5 + 2**-52, 0.5 - 2**-53, 0.5 - 2**-54):
+        for fu in (0.5, 0.3, fv):
+            for _ in range(4):
+                scan = scan_of(
+                    rng.choice([NAN, 1.0, 4.0, 5.0, 5.25, 6.0, 7.0], 4),
+                    angle_min=TURN / 8,
+                    angle_increment=TURN / 4,
+                )
+                assert_every_cell(
+                    scan, Pose(fu * 0.25, fv * 0.25, theta), settings_of(resolution=0.25, alpha=0.5)
+                )
 
 
 @pytest.mark.parametrize(
@@ -310,3 +331,11 @@ def test_counting_and_kinds_of_the_update_kernel():
     assert (dense[1, 70:128] == 31).all()
     assert np.count_nonzero(dense) == 5 + 10 + 58
     assert sector.extent(spans) == (-3, 0, 133, 2)
+
+
+def test_a_span_that_ends_at_a_tiles_edge_touches_no_tile_beyond_it():
+    spans = np.array([[63, 64], [10, 64], [64, 128], [sector.FREE, sector.OCCUPIED]], np.int32)
+    touched = np.zeros((3, 3), np.int64)
+    assert sector.touch_tiles(spans, CellRect(0, 0, 192, 192), touched, 4) == 2
+    assert np.argwhere(touched == 4).tolist() == [[0, 0], [1, 1]]
+    assert sector.touch_tiles(spans, CellRect(0, 0, 192, 192), touched, 5) == 0
