@@ -81,7 +81,8 @@ def project(
         cells[2, k] = kind
         cells[3, k], cells[4, k] = math.floor(u0), math.floor(v0)
         if exact:
-            lines[0, k], lines[1, k] = u0 - math.floor(u0), v0 - math.floor(v0)
+            lines[0, k] = math.floor(u0) + 1 - u0 if u > u0 else u0 - math.floor(u0)
+            lines[1, k] = math.floor(v0) + 1 - v0 if v > v0 else v0 - math.floor(v0)
             lines[2, k], lines[3, k] = u - u0, v - v0
     return True, cells, lines
 

@@ -41,16 +41,17 @@ _BITS_OF_ONE_ROW = 41
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def staircase(
-    di: int, dj: int, fu: float, fv: float, du: float, dv: float
+    di: int, dj: int, gap_u: float, gap_v: float, du: float, dv: float
 ) -> tuple[bool, int, int, int, int, int, int, int]:
-    """What is needed to walk a beam: from (fu, fv) within its cell by (du, dv), (di, dj) cells away.
+    """What is needed to walk a beam by (du, dv), to the cell that is (di, dj) away.
+
+    The edges of its first cell lie gap_u and gap_v ahead of its start, all in cells.
 
     Returns whether i is the major axis, the signs of i and j, the columns and rows to the end cell, and m(1)
     in fixed point, its step and the number of its fraction bits.
     """
     si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
     along_i = abs(du) >= abs(dv)
-    gap_u, gap_v = 1.0 - fu if si > 0 else fu, 1.0 - fv if sj > 0 else fv
     major, minor = (abs(di), abs(dj)) if along_i else (abs(dj), abs(di))
     gap, rest = (gap_u, gap_v) if along_i else (gap_v, gap_u)
     if major == 0 or minor == 0:
@@ -80,6 +81,20 @@ def span_inside(start: int, sign: int, size: int, farthest: int) -> tuple[int, i
     if sign > 0:
         return max(0, -start), min(farthest, size - 1 - start)
     return max(0, start - size + 1), min(farthest, start)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def inside(
+    window: CellRect, along_i: bool, i0: int, j0: int, si: int, sj: int, major: int, minor: int
+) -> tuple[int, int, int, int]:
+    """First and last column, lowest and highest row of a beam that lie in the window."""
+    if along_i:
+        first, last = span_inside(i0, si, window.width, major)
+        lowest, highest = span_inside(j0, sj, window.height, minor)
+    else:
+        first, last = span_inside(j0, sj, window.height, major)
+        lowest, highest = span_inside(i0, si, window.width, minor)
+    return first, last, lowest, highest
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -130,12 +145,7 @@ def touch_tiles(
             i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b]
         )
         start, sign = (i0, si) if along_i else (j0, sj)
-        if along_i:
-            q, last = span_inside(i0, si, window.width, major)
-            lowest, highest = span_inside(j0, sj, window.height, minor)
-        else:
-            q, last = span_inside(j0, sj, window.height, major)
-            lowest, highest = span_inside(i0, si, window.width, minor)
+        q, last, lowest, highest = inside(window, along_i, i0, j0, si, sj, major, minor)
         while q <= last:
             here = start + sign * q
             end = min(q + (63 - (here & 63) if sign > 0 else here & 63), last)
@@ -225,12 +235,7 @@ def update_cells(
         along_i, si, sj, major, minor, first, step, bits = staircase(
             i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b]
         )
-        if along_i:
-            begin, last = span_inside(i0, si, window.width, major)
-            lowest, highest = span_inside(j0, sj, window.height, minor)
-        else:
-            begin, last = span_inside(j0, sj, window.height, major)
-            lowest, highest = span_inside(i0, si, window.width, minor)
+        begin, last, lowest, highest = inside(window, along_i, i0, j0, si, sj, major, minor)
         whole = begin == 0 and last == major and lowest == 0 and highest == minor
         ends_inside = last == major and highest == minor
         q = begin

@@ -6,12 +6,14 @@ and then: update them.
 """
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core import beams, bresenham, dda, sector
-from ogm_core.errors import OutsideBounds
+from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.logodds import Update
@@ -20,13 +22,18 @@ from ogm_core.star import star_of
 from ogm_core.strips import StripStore
 from ogm_core.types import PlacedScan
 
+_FAR = 2**30
+"""Farther than any cell from its sensor."""
+_PROBE = 8
+"""Rows at the top, the middle and the bottom of a scan that are looked at first."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """Which cells a scan will update. The cells in `arrays` are counted from `base`."""
 
-    kernels: Any
-    """The module whose kernels understand `arrays`."""
+    kernels: ModuleType
+    """Its `extent`, `touch_tiles` and `update_cells` understand `arrays`."""
     arrays: tuple[NDArray[Any], ...]
     base: tuple[int, int] = (0, 0)
 
@@ -69,9 +76,34 @@ def observe(placed: PlacedScan, lattice: Lattice, settings: GridSettings) -> Evi
         if counted and dropped == counted:
             raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
     if by_sector:
-        sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
-        rays, quadrants = star_of(placed, cells[2], lattice.resolution, settings)
-        return Evidence(sector, (sector.spans(rays, quadrants, fu, fv),), sensor_cell)
+        return _seen(placed, cells[2], lattice, settings)
     if exact:
         return Evidence(dda, (cells, lines))
     return Evidence(bresenham, (cells,))
+
+
+def _seen(placed: PlacedScan, kinds: NDArray[np.int64], lattice: Lattice, settings: GridSettings) -> Evidence:
+    """Read a placed scan as sectors; `kinds` says which beams count."""
+    sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
+    edges = sector.edges_of(*star_of(placed, kinds, lattice.resolution, settings), fv)
+    low, high = sector.rows_of(edges)
+    bounds = settings.lattice()[1]
+    if bounds is not None:
+        window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
+    else:
+        window = CellRect(-_FAR, low, 2 * _FAR, high - low)
+        _refuse_early(edges, fu, fv, window, settings.max_cells)
+    return Evidence(sector, (sector.spans(edges, fu, fv, window),), sensor_cell)
+
+
+def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, window: CellRect, max_cells: int) -> None:
+    """Refuse a scan that is certainly too large for any map, before all its cells are listed."""
+    extent = CellRect(0, 0, 0, 0)
+    top = window.iy + window.height
+    for first in (window.iy, -_PROBE // 2, top - _PROBE):
+        probe = CellRect(window.ix, first, window.width, _PROBE)
+        found = CellRect(*sector.extent(sector.spans(edges, fu, fv, probe)))
+        if found.cells:
+            extent = extent.union(found) if extent.cells else found
+    if extent.cells > max_cells:
+        raise LimitReached(f"a scan of {extent.width} x {extent.height} cells would be more than max_cells")

@@ -45,7 +45,7 @@ class OccupancyGrid:
         return self.bounds or self._known or CellRect(0, 0, 0, 0)
 
     def begin_with(self, cells: Cells) -> None:
-        """Fill an empty map: `cells` are stored cells, [iy, ix], the first one cell (0, 0) of the lattice.
+        """Fill a map without bounds: `cells` are stored cells, [iy, ix], the first one (0, 0) of the lattice.
 
         The revision stays 0: it counts scans.
 
@@ -58,12 +58,13 @@ class OccupancyGrid:
             raise LimitReached(
                 f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
             )
-        store = StripStore(self.bounds or rect, self.model.dtype)
+        store = StripStore(rect, self.model.dtype)
         store.write(rect, cells)
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
         known = self.model.known(cells)
         rows, columns = np.flatnonzero(known.any(axis=1)).tolist(), np.flatnonzero(known.any(axis=0)).tolist()
+        self._known = None
         if rows:
             ix, iy = columns[0], rows[0]
             self._known = CellRect(ix, iy, columns[-1] - ix + 1, rows[-1] - iy + 1)
@@ -79,7 +80,10 @@ class OccupancyGrid:
             LimitReached: it would stretch the map past a limit; no cell has changed.
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
-        updates = self._update(observe(PlacedScan(scan, pose, sweep), self.lattice, self.settings))
+        try:
+            updates = self._update(observe(PlacedScan(scan, pose, sweep), self.lattice, self.settings))
+        except MemoryError as error:
+            raise LimitReached("the system has no memory left for the map") from error
         self.revision += 1
         self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
         self.cell_updates += updates

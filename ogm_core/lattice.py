@@ -84,7 +84,9 @@ class Lattice:
         return self.place_of(x, y)[0]
 
     def place_of(self, x: float, y: float) -> tuple[tuple[int, int], tuple[float, float]]:
-        """The cell that holds the point (x, y), m, and where in it: from its lower-left corner, in [0, 1).
+        """The cell that holds the point (x, y), m, and where in it: from its lower-left corner, in cells.
+
+        In [0, 1], where 1 is a point just below the next cell, rounded.
 
         Raises:
             BadParameter: the point is not finite, or farther away than cells can be told apart.

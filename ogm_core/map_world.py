@@ -5,12 +5,13 @@ from numpy.typing import NDArray
 
 from ogm_core.errors import BadWorld
 from ogm_core.lattice import Lattice
-from ogm_core.patrol import patrol
+from ogm_core.patrol import cells_of_block, patrol
 from ogm_core.ros_map_reader import RosMap
 from ogm_core.worlds import MAX_COORDINATE, World
 
 MAX_CELLS = 25_000_000
-"""A larger map takes too long to find a way through."""
+MAX_BLOCKS = 1_000_000
+"""In a map of more cells, or more of the blocks that a way is planned in, planning takes too long."""
 
 
 def world_of_map(ros_map: RosMap, name: str) -> World:
@@ -20,9 +21,10 @@ def world_of_map(ros_map: RosMap, name: str) -> World:
         BadWorld: there is nothing to see or no room to drive, or the map is too large.
     """
     height, width = ros_map.occupancy.shape
-    if width * height > MAX_CELLS:
+    limit = min(MAX_CELLS, MAX_BLOCKS * cells_of_block(ros_map.resolution) ** 2)
+    if width * height > limit:
         raise BadWorld(
-            f"{width} x {height} cells are more than the {MAX_CELLS} that can be simulated: cut the map"
+            f"{width} x {height} cells are more than the {limit} that can be simulated: cut the map"
         )
     corners = (*ros_map.origin, *ros_map.lattice.corner_of(width, height))
     if max(map(abs, corners)) > MAX_COORDINATE:

@@ -54,7 +54,7 @@ def patrol(free: Mask, lattice: Lattice) -> WaypointPath:
     gaps = ndimage.distance_transform_edt(np.pad(region, 1))[1:-1, 1:-1]
     for clearance in CLEARANCES:
         safe = region & ((gaps - 0.5) * lattice.resolution >= clearance)
-        nodes, graph = _graph(safe, gaps, max(1, round(BLOCK / lattice.resolution)))
+        nodes, graph = _graph(safe, gaps, cells_of_block(lattice.resolution))
         if len(nodes) > 1:
             break
     else:
@@ -63,6 +63,11 @@ def patrol(free: Mask, lattice: Lattice) -> WaypointPath:
     points = [_centre(lattice, cell) for leg in legs for cell in _straightened(safe, nodes[leg])[:-1]]
     length = sum(dist(start, end) for start, end in pairwise([*points, points[0]]))
     return WaypointPath(tuple(points), max(SPACING, length / _MAX_STEPS))
+
+
+def cells_of_block(resolution: float) -> int:
+    """Side of a block in cells of `resolution` m."""
+    return max(1, round(BLOCK / resolution))
 
 
 def _largest_part(free: Mask) -> Mask:

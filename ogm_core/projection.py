@@ -17,8 +17,9 @@ class Beams(NamedTuple):
     """The beams of a scan on a lattice.
 
     `cells` is int64, shape (5, N): the end cell's ix and iy, the kind, the start cell's ix and iy; a skipped
-    beam has its kind only. `lines` is float64, shape (4, N), or (4, 0) where nobody needs it: the start
-    point within its cell, in [0, 1), and the vector from there to the end point, in cells.
+    beam has its kind only. `lines` is float64, shape (4, N), or (4, 0) where nobody needs it: how far ahead
+    of the start point, in x and in y, the edge of its cell lies, and the vector from the start to the end
+    point; in cells.
     """
 
     cells: NDArray[np.int64]

@@ -94,8 +94,8 @@ def _arc(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _edges(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float) -> NDArray[np.float64]:
-    """The star's edges in the order in which the rows meet them, shape (7, n).
+def edges_of(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float) -> NDArray[np.float64]:
+    """The star's edges in the order in which the rows meet them, shape (7, n), for a sensor at height fv.
 
     First row and the row after the last, outline, slope dx/dy of a radial edge (else 0), radius of an arc
     with the sign of x (else 0), least and greatest x.
@@ -119,51 +119,58 @@ def _edges(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float) -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spans(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fu: float, fv: float) -> NDArray[np.int32]:
+def rows_of(edges: NDArray[np.float64]) -> tuple[int, int]:
+    """The lowest row that any edge meets, and the row after the highest."""
+    if edges.shape[1] == 0:
+        return 0, 0
+    return int(edges[0].min()), int(edges[1].max())
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spans(edges: NDArray[np.float64], fu: float, fv: float, window: CellRect) -> NDArray[np.int32]:
     """Cells of each class as spans of rows, for a sensor at (fu, fv) within its cell; no cell twice.
 
-    A cell whose centre is the sensor has no bearing and is left out.
+    Only spans that meet `window` are kept; what lies outside costs neither memory nor, above and below it,
+    time. A cell whose centre is the sensor has no bearing and is left out.
     """
-    edges = _edges(rays, quadrants, fv)
-    lowest = highest = 0
-    meetings = 1
-    for e in range(edges.shape[1]):
-        lowest, highest = min(lowest, int(edges[0, e])), max(highest, int(edges[1, e]))
-        meetings += int(edges[1, e]) - int(edges[0, e])
-    inside = np.zeros(highest - lowest, np.int8)
-    met = np.empty(highest - lowest, np.int32)
+    lowest, highest = rows_of(edges)
+    lowest, highest = max(lowest, window.iy), min(highest, window.iy + window.height)
+    rows = max(highest - lowest, 0)
+    inside = np.zeros(rows, np.int8)
+    met = np.empty(rows, np.int32)
     upper = _row(0.0, fv)  # the lowest row at or above the sensor
-    for row in range(lowest, highest):
-        met[row - lowest] = _FAR if row >= upper else -_FAR
-    found = np.empty((4, meetings), np.int32)
+    for row in range(rows):
+        met[row] = _FAR if row + lowest >= upper else -_FAR
+    found = np.empty((4, 1024), np.int32)
     n = 0
     for e in range(edges.shape[1]):
         bit, slope, radius = int(edges[2, e]), edges[3, e], edges[4, e]
-        for row in range(int(edges[0, e]), int(edges[1, e])):
+        for row in range(max(int(edges[0, e]), lowest), min(int(edges[1, e]), highest)):
             v = _height(row, fv)
-            x = (
-                slope * v
-                if radius == 0.0
-                else math.copysign(math.sqrt(max(radius * radius - v * v, 0.0)), radius)
-            )
+            x = slope * v
+            if radius != 0.0:
+                x = math.copysign(math.sqrt(max(radius * radius - v * v, 0.0)), radius)
             x = min(max(x, edges[5, e]), edges[6, e])
             here = math.ceil(x - 0.5 + fu)
             before = met[row - lowest]
             here = min(here, before) if row >= upper else max(here, before)
             state = inside[row - lowest]
             first, end = min(here, before), max(here, before)
-            if state and first < end:
-                kind = FREE if state & FREE else OCCUPIED
-                if row == 0 and first <= 0 < end and fu == 0.5 and fv == 0.5:
-                    if first < 0:
-                        found[0, n], found[1, n], found[2, n], found[3, n] = row, first, 0, kind
-                        n += 1
-                    first = 1
-                if first < end:
-                    found[0, n], found[1, n], found[2, n], found[3, n] = row, first, end, kind
-                    n += 1
             inside[row - lowest] = state ^ bit
             met[row - lowest] = here
+            if not state or first >= end or end <= window.ix or first >= window.ix + window.width:
+                continue
+            if n + 2 > found.shape[1]:
+                found = np.concatenate((found, np.empty_like(found)), axis=1)
+            kind = FREE if state & FREE else OCCUPIED
+            if row == 0 and first <= 0 < end and fu == 0.5 and fv == 0.5:
+                if first < 0:
+                    found[0, n], found[1, n], found[2, n], found[3, n] = row, first, 0, kind
+                    n += 1
+                first = 1
+            if first < end:
+                found[0, n], found[1, n], found[2, n], found[3, n] = row, first, end, kind
+                n += 1
     return found[:, :n].copy()
 
 

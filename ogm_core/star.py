@@ -37,12 +37,14 @@ def star_of(
 
     `kinds` says which beams count.
     """
-    rays, quadrants = _star(
+    # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
+    heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
+    rays, quadrants = star_kernel(
         read_only(placed.scan.ranges),
         beam_model(placed.scan, settings),
         kinds,
         _round(placed.scan),
-        float(placed.pose.theta),
+        heading,
         float(resolution),
     )
     return rays, quadrants
@@ -60,18 +62,37 @@ def _round(scan: Scan) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _star(
+def star_kernel(
     ranges: NDArray[np.float32],
     beam: BeamModel,
     kinds: NDArray[np.int64],
     order: NDArray[np.int64],
-    theta: float,
+    heading: float,
     resolution: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Rays and quadrants of a star; `order` are beams as they are met counter-clockwise."""
+    found = _wedges(ranges, beam, kinds, order, heading, resolution)
+    angles = found[0] - np.floor(found[0] / TURN) * TURN
+    # The round begins at the x axis, before the ray where the angles fall back from 2 pi to 0.
+    begin = 0
+    for r in range(angles.size):
+        if angles[r - 1] - angles[r] > angles[begin - 1] - angles[begin]:
+            begin = r
+    return _from_axis_to_axis(found, angles, begin)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wedges(
+    ranges: NDArray[np.float32],
+    beam: BeamModel,
+    kinds: NDArray[np.int64],
+    order: NDArray[np.int64],
+    heading: float,
+    resolution: float,
+) -> NDArray[np.float64]:
+    """Angle, inner and outer radius of every ray but the axes', counter-clockwise from any one on."""
     n = order.size
     half = abs(beam.angle_increment) / 2.0
-    # Angle, inner and outer radius of every ray, in order, from an arbitrary one on.
     found = np.zeros((3, 2 * n))
     count = 0
     for p in range(n):
@@ -81,38 +102,41 @@ def _star(
         if n == 1:
             between = TURN
         if between > 2.0 * half + SAME:  # nobody looks between these two beams
-            found[0, count] = theta + (before + half)
+            found[0, count] = heading + (before + half)
             count += 1
-            found[0, count] = theta + (bearing - half)
+            found[0, count] = heading + (bearing - half)
         else:
-            found[0, count] = theta + (bearing - between / 2.0)
+            found[0, count] = heading + (bearing - between / 2.0)
         kind, length = classify(float(ranges[order[p]]), beam)
-        if kinds[order[p]] != SKIPPED:
+        # An increment that is lost in rounding leaves a beam no width, and nothing to see.
+        width = (heading + (bearing + half)) - (heading + (bearing - half))
+        if kinds[order[p]] != SKIPPED and width > SAME:
             thickness = beam.alpha / 2.0 if kind == HIT else 0.0
             found[1, count] = max(length - thickness, 0.0) / resolution
             found[2, count] = (length + thickness) / resolution
         count += 1
-    found = found[:, :count]
-    angles = found[0] - np.floor(found[0] / TURN) * TURN
-    # The round begins at the x axis, before the ray where the angles fall back from 2 pi to 0.
-    begin = 0
-    for r in range(count):
-        if angles[r - 1] - angles[r] > angles[begin - 1] - angles[begin]:
-            begin = r
+    return found[:, :count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _from_axis_to_axis(
+    found: NDArray[np.float64], angles: NDArray[np.float64], begin: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """One round of rays from the x axis on, which ray `begin` is the first to follow, with all four axes."""
+    count = angles.size
     rays = np.zeros((4, count + 5))
     quadrants = np.zeros(count + 5, np.int64)
     inner, outer = found[1, begin - 1], found[2, begin - 1]
-    m = -1
+    m = 0
     quadrant = -1
     for t in range(count + 1):
         r = (begin + t) % count
         while quadrant < 3 and (t == count or quadrant == -1 or angles[r] >= (quadrant + 1) * math.pi / 2.0):
             quadrant += 1
-            m += 1
             rays[0, m], rays[1, m] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quadrant]
             rays[2, m], rays[3, m] = inner, outer
             quadrants[m] = quadrant
-        m += 1
+            m += 1
         if t == count:
             break
         inner, outer = found[1, r], found[2, r]
@@ -121,7 +145,7 @@ def _star(
         rays[1, m] = max(s, 0.0) if quadrant < 2 else min(s, 0.0)
         rays[2, m], rays[3, m] = inner, outer
         quadrants[m] = quadrant
+        m += 1
     rays[0, m] = 1.0
-    rays[2, m], rays[3, m] = inner, outer
     quadrants[m] = 3
     return rays[:, : m + 1].copy(), quadrants[: m + 1].copy()

@@ -23,9 +23,13 @@ def beams_of(rays, kinds=None):
     """Beams (u0, v0, u1, v1), in cells, as the kernels take them."""
     u0, v0, u1, v1 = np.array(rays, float).T
     kinds = np.full(u0.size, NO_RETURN) if kinds is None else np.array(kinds)
-    starts, ends = (np.floor((u0, v0)), np.floor((u1, v1)))
+    starts, ends = np.floor((u0, v0)), np.floor((u1, v1))
     cells = np.stack((*ends, kinds, *starts)).astype(np.int64)
-    return cells, np.stack((u0 - starts[0], v0 - starts[1], u1 - u0, v1 - v0))
+    gaps = [
+        np.where(b > a, start + 1 - a, a - start)
+        for a, b, start in ((u0, u1, starts[0]), (v0, v1, starts[1]))
+    ]
+    return cells, np.stack((*gaps, u1 - u0, v1 - v0))
 
 
 class Sheet:
@@ -89,11 +93,11 @@ def test_random_rays():
 
 def degenerate_rays(rng, count):
     """Rays from, to and through corners and grid lines, or a rounding error beside them."""
-    places = (0.0, 0.25, 0.5, 1.0 - 2**-53, 2**-60, 1e-9, 3e-7)
+    places = (0.0, 0.25, 0.5, 1.0 - 2**-53, 2**-60, 1e-9, 3e-7, -1e-20)
     nudges = (0.0, 0.0, 2**-52, -(2**-50), 1e-12, -1e-9, 4e-7, -3e-6)
     steps = (0.0, 1.0, 2.0, 3.0, 7.0, 0.5, 30.0, 12.25)
     for _ in range(count):
-        u, v = (rng.integers(0, 6) + rng.choice(places) for _ in range(2))
+        u, v = (rng.choice((0, 0, 1, 2, 5)) + rng.choice(places) for _ in range(2))
         du, dv = (rng.choice((-1, 1)) * rng.choice(steps) for _ in range(2))
         match rng.integers(4):
             case 0:  # a diagonal
@@ -123,7 +127,8 @@ def test_the_longest_beams_change_rows_in_the_right_column(rise, turn):
     if turn > 1:
         fu, fv, du, dv = 1 - fu, 1 - fv, -du, -dv
     di, dj = math.floor(fu + du), math.floor(fv + dv)
-    along_i, si, sj, columns, rows, *steps = dda.staircase(di, dj, fu, fv, du, dv)
+    gap_u, gap_v = (1 - fu if du > 0 else fu), (1 - fv if dv > 0 else fv)
+    along_i, si, sj, columns, rows, *steps = dda.staircase(di, dj, gap_u, gap_v, du, dv)
     assert (along_i, si, sj) == (turn % 2 == 0, *((1, 1) if turn < 2 else (-1, -1)))
     assert (columns, rows) == ((abs(di), abs(dj)) if along_i else (abs(dj), abs(di)))
     gap, rest = Fraction(1 - 0.37), Fraction(1 - 0.811)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core import grid as grid_module
 from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -278,3 +279,13 @@ def test_the_longest_beam_in_the_smallest_cells():
     assert grid.integrate(scan, Pose(0.0005, 0.0005, EAST)) == 999_500
     # The end point is (999.500499, 0.050475).
     assert grid.rect == CellRect(1, 0, 999_500, 51)
+
+
+def test_a_system_without_memory_is_a_limit(monkeypatch):
+    def fail(*_):
+        raise MemoryError
+
+    grid = grid_of()
+    grid.integrate(scan_of([1.0]), ORIGIN)
+    monkeypatch.setattr(grid_module, "observe", fail)
+    refuses(grid, scan_of([1.0]), ORIGIN)

@@ -175,6 +175,14 @@ def test_a_map_that_is_too_large_to_simulate_is_refused(tmp_path, monkeypatch):
         world_named(str(write_map(tmp_path, hall())))
 
 
+def test_a_map_of_coarse_cells_has_too_many_blocks_sooner(tmp_path, monkeypatch):
+    monkeypatch.setattr(map_world, "MAX_BLOCKS", 13999)
+    assert world_named(str(write_map(tmp_path, hall()))).segments.size
+    write_map(tmp_path, hall(), resolution=5.0)
+    with pytest.raises(BadWorld, match="140 x 100 cells are more than the 13999 that"):
+        world_named(str(tmp_path / "map.yaml"))
+
+
 def test_a_map_file_that_is_wrong_is_named(tmp_path):
     path = write_map(tmp_path, hall())
     (tmp_path / "map.pgm").unlink()

@@ -1,6 +1,7 @@
 """The area model against brute force: the class of every cell, by the nearest beam to its centre."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def brute_force(rect, u, v, resolution, theta, bearings, half, kinds, lengths, a
 
 def assert_every_cell(scan, pose, settings):
     """Compare all cells around the sensor; return how often each class occurs."""
-    lattice, _ = settings.lattice()
+    lattice, bounds = settings.lattice()
     spans = observe(PlacedScan(scan, pose), lattice, settings).arrays[0]
     bearings, kinds, lengths = beams_of(scan, settings)
     u = (pose.x - lattice.anchor[0]) / lattice.resolution
@@ -72,6 +73,12 @@ def assert_every_cell(scan, pose, settings):
         found[row + around, first + around : end + around] = kind
     model = pose.theta, bearings, abs(scan.angle_increment) / 2, kinds, lengths, settings.alpha
     expected = brute_force(rect, u, v, lattice.resolution, *model)
+    if bounds is not None:  # what lies outside may be left out
+        rows, columns = rect.iy + np.arange(rect.height), rect.ix + np.arange(rect.width)
+        beside = (rows < 0) | (rows >= bounds.height), (columns < 0) | (columns >= bounds.width)
+        for classes in (found, expected):
+            classes[beside[0]] = NOTHING
+            classes[:, beside[1]] = NOTHING
     for j, i in np.argwhere(found != expected).tolist():
         # A centre that lies within 1e-6 cells of an edge may go either way.
         dx, dy = rect.ix + i + 0.5 - u, rect.iy + j + 0.5 - v
@@ -295,6 +302,53 @@ def test_a_sweep_is_read_at_its_middle():
     still.integrate(scan, middle)
     assert moved.rect == still.rect
     assert np.array_equal(moved.snapshot().cells, still.snapshot().cells)
+
+
+@pytest.mark.parametrize(("increment", "theta"), [(1e-300, 0.3), (1e-15, -2.0), (2.2e-16, 3.0)])
+def test_an_increment_lost_in_rounding_shows_nothing(increment, theta):
+    grid = OccupancyGrid(settings_of())
+    for count in (1, 2):
+        scan = scan_of([5.0] * count, angle_min=0.0, angle_increment=increment)
+        assert grid.integrate(scan, Pose(0.01, 0.02, theta)) == 0
+
+
+def test_whole_turns_of_the_heading_do_not_count():
+    scan = scan_of(np.linspace(1, 7, 120), angle_min=-1.0, angle_increment=TURN / 360)
+    for theta in (1e9, -1e12, 1e16, 1e300):
+        turned, plain = (OccupancyGrid(settings_of()) for _ in range(2))
+        turned.integrate(scan, Pose(0.01, 0.02, theta))
+        plain.integrate(scan, Pose(0.01, 0.02, math.atan2(math.sin(theta), math.cos(theta))))
+        assert np.array_equal(turned.snapshot().cells, plain.snapshot().cells)
+        assert plain.cell_updates > 1000
+
+
+def jagged_scan(count, far):
+    """Long and short beams by turns: every row meets the outline again and again."""
+    ranges = np.where(np.arange(count) % 2, far, far / 9)
+    return scan_of(ranges, angle_min=-math.pi, angle_increment=TURN / count, range_max=1000.0)
+
+
+def test_a_scan_that_is_too_large_is_refused_before_its_cells_are_listed():
+    tracemalloc.start()
+    try:
+        grid = OccupancyGrid(settings_of(resolution=0.05))
+        with pytest.raises(LimitReached, match="max_cells"):
+            grid.integrate(jagged_scan(20_000, 900.0), Pose(0.01, 0.02, 0.0))
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+    assert (grid.revision, grid.nbytes) == (0, OccupancyGrid(settings_of(resolution=0.05)).nbytes)
+
+
+def test_bounds_limit_what_a_huge_scan_costs():
+    tracemalloc.start()
+    try:
+        grid = OccupancyGrid(settings_of(resolution=0.001, bounds=Region(-1, -1, 1, 1)))
+        updates = grid.integrate(jagged_scan(360, 999.0), Pose(0.0102, 0.0203, 0.0))
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+    assert updates == 2000 * 2000
 
 
 def test_far_beams_of_fine_cells():
