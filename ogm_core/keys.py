@@ -62,6 +62,11 @@ class MapKeys:
         """A queryable of the mapper."""
         return f"{self.root}/{name}"
 
+    @property
+    def truth(self) -> str:
+        """A queryable of the simulator: its world, as YAML."""
+        return f"{self.root}/truth"
+
     def alive(self, service: str, identity: str, run: str) -> str:
         """The liveliness token of a running service: `identity` outlives a restart, `run` does not."""
         return f"{self.root}/alive/{service}/{identity}/{run}"

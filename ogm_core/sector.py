@@ -33,6 +33,7 @@ from ogm_core.logodds import Update
 FREE, OCCUPIED = 1, 2
 """Classes of a span; also the bits of the outlines that a row is inside of: inner, outer."""
 _FAR = 2**30
+_FLAT = 1e-300
 
 Spans = NDArray[np.int32]
 """Shape (4, n): row, first column, column after the last, class."""
@@ -65,8 +66,8 @@ def _radial(
     if first == last:
         return n
     edges[0, n], edges[1, n], edges[2, n] = min(first, last), max(first, last), bit
-    slope = c / s
-    edges[3, n], edges[4, n] = slope if math.isfinite(slope) else 0.0, 0.0
+    # An edge along a row has no slope that a float can hold; where they meet is anywhere between its ends.
+    edges[3, n], edges[4, n] = c / s if abs(s) > _FLAT else 0.0, 0.0
     edges[5, n], edges[6, n] = min(near * c, far * c), max(near * c, far * c)
     return n + 1
 

@@ -7,6 +7,7 @@ well the finished map agrees with the scans that made it.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -14,12 +15,17 @@ from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, held_out, quality_figures
 from ogm_core.recordings import RecordedScan, RecordingReader
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.truth import truth_figures
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_core.worlds import World, world_named
+from ogm_services.figure_file import check_figure, format_of, write_figure
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.mapper import Mapper, ScanSink
 from ogm_services.output import write_map
 from ogm_services.progress import progress_bar
 from ogm_services.settings import Settings
+from ogm_services.trails import Trail
 
 
 def run_build(
@@ -31,16 +37,23 @@ def run_build(
     robot: str | None,
     odometry: bool = False,
     hold_out: int | None,
+    world: str | None = None,
+    figure: Path | None = None,
 ) -> None:
     """Map a log and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
 
     `hold_out` N keeps scan i of the file out of the map if i % N == N // 2, and judges the map by it.
+    `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
 
     Raises:
+        BadInput: the world is none, or the figure cannot be drawn or written; nothing is written.
         BadRecording: the log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
     max_beams = settings.mapper.max_beams
+    true_world = None if world is None else world_named(world)
+    if figure is not None:
+        check_figure(figure, out)
 
     def reader() -> RecordingReader:
         return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry, max_beams=max_beams)
@@ -54,20 +67,23 @@ def run_build(
     report = _report(messages, ledger, first)
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty(f"{log}: no scan changed the map ({report})")
-    consistency = Consistency(snapshot, grid.settings)
     with reader() as messages:
-        _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
-    quality = quality_figures(snapshot, consistency, grid.cell_updates)
-    if hold_out is not None:
-        quality["held_out"] = held_out(snapshot, grid.settings, first.held)
+        quality = _judged(messages, snapshot, first, hold_out)
+    if true_world is not None:
+        quality["truth"] = truth_figures(snapshot, true_world)
+        report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
+    drawn = None if figure is None else _drawn(figure, log, snapshot, true_world, first)
     write_map(out, snapshot, quality)
+    if figure is not None and drawn is not None:
+        write_figure(figure, drawn)
     typer.echo(f"{out}: {report}")
 
 
 class _Pass(ScanSink):
-    """What both passes over a log need: which scans stay out of the map."""
+    """What both passes over a log need: which scans stay out of the map, and whose message is being read."""
 
     withheld: set[Scan]
+    robot: str
 
 
 @dataclass
@@ -79,6 +95,8 @@ class _MapPass(_Pass):
     held: list[PlacedScan] = field(default_factory=list)
     accepted: list[bool] = field(default_factory=list)
     """Of every scan that was placed and not held out, in order: whether the map took it."""
+    robot: str = ""
+    trails: dict[str, Trail] = field(default_factory=dict)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Put a scan into the map, or aside."""
@@ -89,6 +107,7 @@ class _MapPass(_Pass):
         self.accepted.append(False)
         updates = self.grid.integrate(scan, pose, sweep)
         self.accepted[-1] = True
+        self.trails.setdefault(self.robot, Trail()).add(scan, pose)
         return updates
 
 
@@ -99,6 +118,7 @@ class _JudgePass(_Pass):
     consistency: Consistency
     accepted: Iterator[bool]
     withheld: set[Scan] = field(default_factory=set)
+    robot: str = ""
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Judge a scan, if the map took it."""
@@ -115,6 +135,8 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
     index = 0
     with progress_bar(text, messages.size) as bar:
         for message in messages:
+            # A message makes scans of its own robot ready, and of no other.
+            sink.robot = message.robot
             if isinstance(message, RecordedScan):
                 if hold_out is not None and index % hold_out == hold_out // 2:
                     sink.withheld.add(message.message)
@@ -126,6 +148,19 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
                 ledger.pose_received(message.robot)
                 mapper.add_pose(message.robot, message.message)
     mapper.finish()
+
+
+def _judged(
+    messages: RecordingReader, snapshot: MapSnapshot, first: _MapPass, hold_out: int | None
+) -> dict[str, Any]:
+    """The figures of a finished map, in a second pass over its log."""
+    grid = first.grid
+    consistency = Consistency(snapshot, grid.settings)
+    _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+    quality = quality_figures(snapshot, consistency, grid.cell_updates)
+    if hold_out is not None:
+        quality["held_out"] = held_out(snapshot, grid.settings, first.held)
+    return quality
 
 
 def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
@@ -141,3 +176,19 @@ def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
     if messages.not_read:
         parts.append(f"not read: {messages.not_read}")
     return ", ".join(parts)
+
+
+def _truth_report(world: World, figures: dict[str, float | None]) -> str:
+    shares = (
+        f"{name.replace('_', ' ')} {'none' if value is None else format(value, '.3f')}"
+        for name, value in figures.items()
+    )
+    return f"against the true world {world.name}: {', '.join(shares)}"
+
+
+def _drawn(file: Path, log: Path, snapshot: MapSnapshot, world: World | None, first: _MapPass) -> bytes:
+    # Here, because it loads matplotlib, which need not be there.
+    from ogm_services.figure import describe, draw_map, encode_figure
+
+    figure = draw_map(snapshot, log.name, describe(snapshot, first.grid.settings), world, first.trails)
+    return encode_figure(figure, format_of(file))

@@ -231,6 +231,14 @@ def build(
             metavar="N", help="Keep every Nth scan (N >= 2) out of the map, and judge the map by it."
         ),
     ] = None,
+    world: Annotated[
+        str | None,
+        typer.Option(metavar="WORLD", help="Judge the map by this true world, named as in ogm simulate."),
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
+    ] = None,
 ) -> None:
     """Make a map of a recorded log, without network."""
     if hold_out is not None and hold_out < 2:
@@ -247,6 +255,8 @@ def build(
             robot=log_flags.robot,
             odometry=log_flags.odometry,
             hold_out=hold_out,
+            world=world,
+            figure=figure,
         )
 
 

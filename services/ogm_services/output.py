@@ -1,6 +1,7 @@
 """The files that a finished map is written as."""
 
 import json
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,11 +37,17 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None
         "map.pgm": encode_pgm(snapshot),
         "map.yaml": encode_yaml(snapshot, "map.pgm"),
         "map.npz": encode_npz(snapshot),
-        "quality.json": (json.dumps(quality, indent=2) + "\n").encode(),
+        "quality.json": _readable(quality).encode(),
     }
     with _written(out):
         for name, content in files.items():
             (out / name).write_bytes(content)
+
+
+def _readable(value: dict[str, Any]) -> str:
+    """JSON with a line for each name, and each list of numbers on one line."""
+    text = json.dumps(value, indent=2)
+    return re.sub(r"\[[^][{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text) + "\n"
 
 
 @contextmanager

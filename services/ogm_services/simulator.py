@@ -3,7 +3,7 @@
 import logging
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,10 +13,14 @@ import typer
 from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
+from ogm_core.errors import BadParameter
+from ogm_core.keys import MapKeys
 from ogm_core.lidar import Lidar, measure
 from ogm_core.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
-from ogm_core.worlds import world_named
+from ogm_core.worlds import World, dump_world, world_named
+from ogm_services.answer import Answer, Parameters
+from ogm_services.queryables import Queryables
 from ogm_services.settings import NetworkSettings
 from ogm_services.simulator_options import SimulatorOptions
 
@@ -32,7 +36,7 @@ class Simulation:
     """Robots in a world: what each of them measures at each step. Equal seeds, equal measurements."""
 
     def __init__(self, options: SimulatorOptions) -> None:
-        self._world = world_named(options.world)
+        self.world = world_named(options.world)
         lab = Lidar.lab()
         self.lidar = Lidar(
             beams=lab.beams if options.beams is None else options.beams,
@@ -46,9 +50,9 @@ class Simulation:
 
     def step(self, robot: int, step: int) -> tuple[Pose, Ranges]:
         """Pose and ranges of a robot at a step; the robots are spread along the world's path."""
-        path = self._world.path
+        path = self.world.path
         pose = path.pose(step + robot * path.count // len(self.robots))
-        return pose, measure(self._world, pose, self.lidar, self._noise[robot])
+        return pose, measure(self.world, pose, self.lidar, self._noise[robot])
 
     def messages(self, step: int, stamp: int, run: str) -> Iterator[Recorded]:
         """Every robot's pose and scan of a step."""
@@ -93,14 +97,20 @@ def record(options: SimulatorOptions, out: Path) -> None:
 def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
     """Publish the robots' poses and scans until KeyboardInterrupt, or until all `options.scans` are sent.
 
+    Meanwhile whoever asks is told the world: the truth that a map can be judged by.
+
     Raises:
         CannotConnect: no mapper or router is there.
         BadWorld, BadSetting: there is no such world, or no such LiDAR.
     """
     simulation = Simulation(options)
+    truth = _truth(simulation.world)
     run = uuid.uuid4().hex
     with ExitStack() as opening:
         session = opening.enter_context(open_session(network.for_client()))
+        queryables = Queryables(session, threads=1)
+        opening.callback(queryables.close)
+        queryables.declare(MapKeys(network.map_name).truth, truth)
         robots = {
             robot: opening.enter_context(
                 RobotPublisher(robot, session=session, map_name=network.map_name, run=run)
@@ -115,6 +125,18 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
                     robots[message.robot].put_scan(message.sensor, message.message)
                 else:
                     robots[message.robot].put_pose(message.message)
+
+
+def _truth(world: World) -> Callable[[Parameters], Answer]:
+    """What is answered to queries of the truth: always the same."""
+    answer = Answer(dump_world(world).encode(), "application/yaml")
+
+    def truth(given: Parameters) -> Answer:
+        if given:
+            raise BadParameter(f"{next(iter(given))}: truth has no parameters")
+        return answer
+
+    return truth
 
 
 def _wait_for_mapper(robot: RobotPublisher) -> None:

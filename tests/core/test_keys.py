@@ -33,6 +33,7 @@ def test_keys_are_those_of_the_contract():
     assert KEYS.pose("r1") == "ogm/v1/lab/robots/r1/pose"
     assert KEYS.scan("r1", "front") == "ogm/v1/lab/robots/r1/scan/front"
     assert KEYS.alive("mapper", "id1", "run1") == "ogm/v1/lab/alive/mapper/id1/run1"
+    assert KEYS.truth == "ogm/v1/lab/truth"
     assert [KEYS.service(name) for name in SERVICES] == [
         f"ogm/v1/lab/{name}" for name in ("map", "cell", "quality", "status", "reset")
     ]

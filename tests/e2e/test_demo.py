@@ -112,6 +112,20 @@ def test_the_demo_ends_by_itself_and_its_books_balance(lap):
     assert quality["consistency"]["free"] > 0.95
 
 
+def test_what_it_leaves_says_how_true_the_map_is_and_how_it_settled(lap):
+    text = (lap[1] / "quality.json").read_text()
+    quality = json.loads(text)
+    assert quality["truth"]["accuracy"] > 0.98
+    assert quality["truth"]["precision"] > 0.99
+    assert quality["truth"]["recall"] > 0.95
+    series = quality["series"]
+    assert 8 < len(series["stamp"]) == len(series["known_m2"]) == len(series["mean_entropy_bits"]) < 30
+    assert series["revision"] == sorted(set(series["revision"]))
+    assert series["known_m2"][0] < 0.5 * series["known_m2"][-1] <= 0.5 * quality["known_m2"]
+    assert series["mean_entropy_bits"][-1] < 0.2 * series["mean_entropy_bits"][0]
+    assert len(text.splitlines()) < 40  # each list on one line
+
+
 def test_the_circles_stand_where_the_lab_has_them(lap):
     picture = Picture(lap[1])
     angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)

@@ -61,13 +61,18 @@ def test_table_of_routes(ogm):
     page = mapper.get("").decode()
     assert not re.search(r"https?://|src=|@import|url\(", page)
     asked = set(re.findall(r'["`](/[a-z.]+)[?"`]', page))
-    assert {"/map.png", "/status", "/cell"} <= asked <= {"/docs", *paths}
+    assert {"/map.png", "/status", "/cell", "/quality"} <= asked <= {"/docs", *paths}
 
 
 def test_table_of_keys():
     keys = MapKeys("M")
     names = {f"{keys.root}/{name}": "get" for name in SERVICES}
-    names |= {keys.pose("R"): "put", keys.scan("R", "S"): "put", keys.alive("A", "I", "N"): "liveliness"}
+    names |= {
+        keys.truth: "get",
+        keys.pose("R"): "put",
+        keys.scan("R", "S"): "put",
+        keys.alive("A", "I", "N"): "liveliness",
+    }
     short = {"<map>": "M", "<robot>": "R", "<sensor>": "S", "<service>": "A", "<id>": "I", "<run>": "N"}
     documented = {
         re.sub("<[a-z]+>", lambda name: short[name[0]], _quoted(key)[0]): kind

@@ -14,10 +14,12 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
 from ogm_core.types import Pose, Scan
+from ogm_services.answer import UnknownName
 from ogm_services.mapper import answers as answers_module
-from ogm_services.mapper.answers import MAP_FORMATS, Answers, UnknownName
+from ogm_services.mapper.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.observer import Observer
 
 HERE = Pose(0.25, 0.25, 0.0)
 HIT = math.log(0.7 / 0.3)
@@ -29,7 +31,7 @@ class Desk:
     def __init__(self, monkeypatch, settings):
         self.live = LiveMap(OccupancyGrid(settings, "epoch"))
         self.ledger = Ledger()
-        self.answers = Answers("hall", self.live, self.ledger)
+        self.answers = Answers("hall", self.live, self.ledger, Observer(self.live))
         self.encoded = []
         for name in ("json", "npz", "png", "pgm", "yaml"):
             self._count(monkeypatch, name)
@@ -216,3 +218,12 @@ def test_answers_to_many_threads_are_those_to_one(desk):
     for thread in threads:
         thread.join(20.0)
     assert wrong == []
+
+
+def test_quality_may_be_old_and_a_fresh_one_is_not(desk):
+    assert json.loads(desk.answers.quality({}).body)["scans"] == 0
+    desk.scan(2.0)
+    assert json.loads(desk.answers.quality({}).body)["scans"] == 0
+    fresh = desk.answers.quality_fields(fresh=True)
+    assert (fresh["scans"], fresh["known_m2"], fresh["truth"]) == (1, 1.0, None)
+    assert fresh["series"]["revision"] == []  # nobody has started the observer

@@ -30,7 +30,7 @@ FLAGS = {
     "simulate": "--robots --rate --seed --world --beams --fov --range-max --noise --out --scans --config "
     + NETWORK_FLAGS,
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
-    "build": f"--out --hold-out --config {MAP_FLAGS} {LOG_FLAGS}",
+    "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
     "get": "--out -o --url --map",
     "status": "--json --url --map",
 }
@@ -241,7 +241,10 @@ def test_build(ogm, stub):
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     log, out, settings = run.args
     assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
-    assert run.options == {"range_max": 8.0, "robot": None, "odometry": False, "hold_out": 5}
+    rest = {"robot": None, "odometry": False, "world": None, "figure": None}
+    assert run.options == {"range_max": 8.0, "hold_out": 5, **rest}
+    assert ogm("build", "a.jsonl", *["--out", "maps", "--world", "lab", "--figure", "a.pdf"]).exit_code == 0
+    assert (run.options["world"], run.options["figure"]) == ("lab", Path("a.pdf"))
 
 
 def test_bad_input_found_later_is_exit_code_2(ogm, stub):

@@ -1,5 +1,6 @@
 """The map while it is written: snapshots are whole and shared, figures are computed rarely."""
 
+import math
 import threading
 from types import SimpleNamespace
 
@@ -12,7 +13,9 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
 from ogm_core.quality import map_figures, quality_figures
+from ogm_core.truth import truth_figures
 from ogm_core.types import Pose, Scan
+from ogm_core.worlds import lab, load_world
 from ogm_services.mapper import live_map as live_map_module
 from ogm_services.mapper.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
 
@@ -104,16 +107,6 @@ def test_a_scan_that_is_refused_leaves_everything_as_it_was(live):
     assert live.quality() is quality
 
 
-def test_a_system_without_memory_is_a_limit(live, monkeypatch):
-    def fail(*_):
-        raise MemoryError
-
-    monkeypatch.setattr(live._grid, "integrate", fail)
-    with pytest.raises(LimitReached, match="no memory"):
-        live.integrate(scan(), HERE)
-    assert live.snapshot().revision == 0
-
-
 def test_quality_is_computed_at_most_once_a_second(live, clock, counted):
     assert FIGURES_PERIOD == 1.0
     first = live.quality()
@@ -160,7 +153,7 @@ def test_quality_is_that_of_the_map_and_of_its_scans(live):
     quality = live.quality()
     # Cells 1 to 4: free twice; free and then hit, back at a half; free; hit.
     expected = map_figures(live.snapshot()) | {"consistency": {}, "scans": 2, "cell_updates": 6}
-    assert {**quality, "consistency": {}} == expected
+    assert {**quality, "consistency": {}} == expected | {"truth": None}
     assert (quality["known_m2"], quality["free_m2"], quality["occupied_m2"]) == (1.0, 0.25, 0.25)
     # One of two hits ended, and one of four passes went through, where p is a half.
     assert quality["consistency"] == {"hits": 0.5, "free": 0.75}
@@ -232,3 +225,35 @@ def test_after_a_reset_no_figure_is_the_old_maps(live, clock):
     live.reset("second")
     assert live.info()["known_cells"] == 0
     assert live.quality()["known_m2"] == 0.0
+
+
+def test_truth_is_that_of_the_map_and_the_world(live, clock):
+    live.integrate(scan(2.0), HERE)
+    world = load_world("{walls: [[2.1, 0.1, 2.1, 0.4]], path: {circle: [0, 0, 1], poses: 4}}")
+    truth = live.quality(world)["truth"]
+    assert truth == truth_figures(live.snapshot(), world)
+    # Its one wall stands where the map has its one hit, behind three free cells.
+    shares = {"accuracy": 1.0, "precision": 1.0, "recall": 1.0, "iou": 1.0}
+    assert truth == {**shares, "log_loss": pytest.approx(-math.log(0.7), rel=1e-3)}
+
+
+def test_another_world_is_another_quality_of_the_same_map(live, clock, counted):
+    live.integrate(scan(2.0), HERE)
+    worlds = lab(), lab()
+    first = live.quality(worlds[0])
+    assert live.quality(worlds[1]) is first  # less than a second later
+    clock.now += 1.0
+    assert live.quality(worlds[0]) is first
+    second = live.quality(worlds[1])
+    assert second is not first
+    clock.now += 1.0
+    assert live.quality(worlds[1]) is second
+    assert live.quality(None)["truth"] is None
+    assert counted == [1, 1, 1]
+
+
+def test_a_fresh_quality_is_never_an_old_one(live, clock):
+    assert live.quality()["scans"] == 0
+    live.integrate(scan(), HERE)
+    assert (live.quality()["scans"], live.fresh_quality()["scans"]) == (0, 1)
+    assert live.fresh_quality(lab())["truth"]["accuracy"] is not None

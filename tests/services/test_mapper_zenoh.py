@@ -80,7 +80,6 @@ def test_an_empty_map(mapper):
     [
         ("cell", "x=2.1;y=0.1", "/cell?x=2.1&y=0.1"),
         ("cell", "x=-9;y=9", "/cell?x=-9&y=9"),
-        ("quality", "", "/quality"),
     ],
 )
 def test_json_answers_are_those_of_http(cross, key, parameters, path):
@@ -89,6 +88,14 @@ def test_json_answers_are_those_of_http(cross, key, parameters, path):
     assert str(reply.encoding) == "application/json"
     assert reply.attachment is None
     assert json.loads(reply.payload.to_bytes()) == cross.http.get(path).json()
+
+
+def test_quality_is_that_of_http(cross, eventually):
+    eventually(lambda: cross.http.get("/quality").json()["series"]["revision"])  # nothing changes any more
+    reply = cross.answer("quality")
+    assert str(reply.key_expr) == "ogm/v1/hall/quality"
+    assert (str(reply.encoding), reply.attachment) == ("application/json", None)
+    assert reply.payload.to_bytes() == cross.http.get("/quality").content
 
 
 def test_status(cross):
@@ -247,7 +254,7 @@ def test_bugs_are_logged_and_told_without_their_innards(mapper, monkeypatch, cap
     def fail(_):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(mapper.service.live_map, "quality", lambda: fail(None))
+    monkeypatch.setattr(mapper.service.live_map, "quality", fail)
     problem = mapper.problem("quality")
     assert (problem["status"], problem["type"]) == (500, "internal")
     assert "bug" not in problem["detail"]

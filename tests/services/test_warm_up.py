@@ -23,7 +23,7 @@ KERNELS = (
     dda.extent,
     dda.touch_tiles,
     dda.update_cells,
-    star._star,
+    star.star_kernel,
     sector.spans,
     sector.extent,
     sector.touch_tiles,

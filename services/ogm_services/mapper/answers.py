@@ -3,41 +3,21 @@
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ogm_core.errors import BadParameter, OgmError
+from ogm_core.errors import BadParameter
 from ogm_core.lattice import Region
 from ogm_core.map_files import encode_json, encode_npz, encode_pgm, encode_png, encode_yaml
 from ogm_core.snapshot import MapSnapshot
+from ogm_services.answer import Answer, Parameters, UnknownName
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live_map import LiveMap
-
-Parameters = Mapping[str, str]
+from ogm_services.mapper.observer import Observer
 
 CACHE_BYTES = 64 * 1024**2
 """Encoded maps of the current revision that are kept for the next who asks."""
-
-
-class UnknownName(OgmError):
-    """Nothing of that name is served."""
-
-    slug = "not-found"
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A body, its media type, and for a map what `MapSnapshot.meta` says of it."""
-
-    body: bytes
-    media_type: str
-    meta: dict[str, Any] | None = None
-
-    @property
-    def etag(self) -> str | None:
-        """Strong validator of a map: its epoch and revision."""
-        return None if self.meta is None else f'"{self.meta["epoch"]}-{self.meta["revision"]}"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +53,10 @@ MAP_FORMATS: dict[str, _MapFormat] = {
 class Answers:
     """Everything that can be asked of a mapper. Any thread; nothing here waits for the network."""
 
-    def __init__(self, map_name: str, live_map: LiveMap, ledger: Ledger) -> None:
+    def __init__(self, map_name: str, live_map: LiveMap, ledger: Ledger, observer: Observer) -> None:
         self._map_name = map_name
         self._map = live_map
+        self._observer = observer
         self._ledger = ledger
         self._started = time.monotonic()
         self._cache = _AnswerCache()
@@ -124,14 +105,20 @@ class Answers:
         return _json(reply)
 
     def quality(self, given: Parameters) -> Answer:
-        """The quality figures."""
+        """The quality figures, those against the true world if there is one, and how they have settled."""
         _check_names(given, ())
-        return _json(self._map.quality())
+        return _json(self.quality_fields())
 
     def status(self, given: Parameters) -> Answer:
         """The mapper's status."""
         _check_names(given, ())
         return _json(self.status_fields())
+
+    def quality_fields(self, *, fresh: bool = False) -> dict[str, Any]:
+        """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`."""
+        compute = self._map.fresh_quality if fresh else self._map.quality
+        series = self._observer.series.columns(self._map.identity()["epoch"])
+        return {**compute(self._observer.truth.world), "series": series}
 
     def status_fields(self) -> dict[str, Any]:
         """The mapper's status, not yet encoded."""

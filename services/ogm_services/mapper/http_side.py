@@ -15,7 +15,8 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ogm_core.errors import BadParameter, OgmError
-from ogm_services.mapper.answers import MAP_FORMATS, Answer, Answers, Parameters
+from ogm_services.answer import Answer, Parameters
+from ogm_services.mapper.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.metrics import prometheus_text
 from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of, status_of
 

@@ -4,20 +4,23 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, quality_figures
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.truth import truth_figures
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_core.worlds import World
 
 RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
+
+_T = TypeVar("_T")
 
 
 class LiveMap:
@@ -41,10 +44,7 @@ class LiveMap:
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
-            try:
-                updates = self._grid.integrate(scan, pose, sweep)
-            except MemoryError as error:
-                raise LimitReached("the system has no memory left for the map") from error
+            updates = self._grid.integrate(scan, pose, sweep)
             self._recent.append(PlacedScan(scan, pose, sweep))
             return updates
 
@@ -77,10 +77,24 @@ class LiveMap:
             "resolution": self._grid.lattice.resolution,
         }
 
-    def quality(self) -> dict[str, Any]:
-        """Quality figures of the map and its newest scans; may be a second old."""
-        quality: dict[str, Any] = self._figure(self._quality, self._compute_quality)
-        return quality
+    def quality(self, world: World | None = None) -> dict[str, Any]:
+        """Quality figures of the map and its newest scans; may be a second old.
+
+        `truth` says how well the map agrees with a true `world`, None without one.
+        """
+        return self._figure(self._quality, lambda: self.fresh_quality(world), world)
+
+    def fresh_quality(self, world: World | None = None) -> dict[str, Any]:
+        """The same of this very moment, however long that takes."""
+        with self._reading, self._writing:
+            snapshot = self._current_snapshot()
+            recent, updates = list(self._recent), self._grid.cell_updates
+        consistency = Consistency(snapshot, self._grid.settings)
+        for placed in recent:
+            consistency.add(placed)
+        figures = quality_figures(snapshot, consistency, updates)
+        figures["truth"] = None if world is None else truth_figures(snapshot, world)
+        return figures
 
     def _current_snapshot(self) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
@@ -93,32 +107,25 @@ class LiveMap:
         snapshot = self.snapshot()
         return int(np.count_nonzero(snapshot.model.known(snapshot.cells)))
 
-    def _compute_quality(self) -> dict[str, Any]:
-        with self._reading, self._writing:
-            snapshot = self._current_snapshot()
-            recent, updates = list(self._recent), self._grid.cell_updates
-        consistency = Consistency(snapshot, self._grid.settings)
-        for placed in recent:
-            consistency.add(placed)
-        return quality_figures(snapshot, consistency, updates)
-
-    def _figure(self, cached: "_Figure", compute: Callable[[], Any]) -> Any:  # noqa: ANN401
-        """The cached value, computed anew if the map has changed and the value is old enough."""
+    def _figure(self, cached: "_Figure", compute: Callable[[], _T], world: World | None = None) -> _T:
+        """The cached value, computed anew if the map or the world is another and the value is old enough."""
         with cached.lock:
             identity = self.identity()
             new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
+            changed = identity != cached.identity or world is not cached.world
             old = time.monotonic() - cached.time >= FIGURES_PERIOD
-            if new_life or (old and identity != cached.identity):
+            if new_life or (old and changed):
                 cached.value = compute()
-                cached.identity, cached.time = identity, time.monotonic()
-            return cached.value
+                cached.identity, cached.world, cached.time = identity, world, time.monotonic()
+            return cast(_T, cached.value)
 
 
 class _Figure:
-    """A value, the map that it is of, and when it was computed."""
+    """A value, the map and the world that it is of, and when it was computed."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.value: Any = None
         self.identity: dict[str, Any] | None = None
+        self.world: World | None = None
         self.time = 0.0

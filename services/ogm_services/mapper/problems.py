@@ -4,7 +4,7 @@ import http
 import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
-from ogm_services.mapper.answers import UnknownName
+from ogm_services.answer import UnknownName
 from ogm_services.mapper.worker import Unavailable
 
 MEDIA_TYPE = "application/problem+json"

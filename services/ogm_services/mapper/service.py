@@ -30,6 +30,7 @@ from ogm_services.mapper.inbox import Inbox
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live_map import LiveMap
 from ogm_services.mapper.mapper import Mapper
+from ogm_services.mapper.observer import Observer
 from ogm_services.mapper.worker import Worker
 from ogm_services.mapper.zenoh_side import ZenohSide
 from ogm_services.output import check_folder, write_map
@@ -70,7 +71,7 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     finally:
         if out is not None and service.was_ready:
             try:
-                write_map(out, service.live_map.snapshot(), service.live_map.quality())
+                write_map(out, service.live_map.snapshot(), service.answers.quality_fields(fresh=True))
             except MapEmpty:
                 log.warning("the map has no known cell: nothing is written into %s", out)
 
@@ -78,8 +79,8 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
 class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
-    Threads: the worker (owns the map), one for HTTP's event loop with its pool, Zenoh's own, and a small
-    pool for Zenoh's queries. All of them end with the `with`.
+    Threads: the worker (owns the map), the observer (owns the series and the truth), one for HTTP's event
+    loop with its pool, Zenoh's own, and a small pool for Zenoh's queries. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -92,7 +93,8 @@ class MapperService:
         mapper = Mapper(self.live_map, ledger)
         self._inbox, self._ledger = inbox, ledger
         self._worker = Worker(inbox, mapper, ledger, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
-        self._answers = Answers(settings.network.map_name, self.live_map, ledger)
+        self._observer = Observer(self.live_map)
+        self.answers = Answers(settings.network.map_name, self.live_map, ledger, self._observer)
         self._ready = threading.Event()
         self._open = ExitStack()
         self.addresses: list[str] = []
@@ -137,7 +139,9 @@ class MapperService:
             warm_up(self._grid_settings)
         self._worker.start()
         opening.callback(self._worker.stop)
-        zenoh_side.declare(self._answers, self.reset)
+        zenoh_side.declare(self.answers, self.reset)
+        opening.callback(self._observer.stop)
+        self._observer.start(zenoh_side.ask_truth)
         host, port = listener.getsockname()[:2]
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         self.addresses = [
@@ -150,7 +154,7 @@ class MapperService:
         health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
         return _HttpThread(
             uvicorn.Config(
-                build_app(self._answers, health, self.reset),
+                build_app(self.answers, health, self.reset),
                 log_level="warning",
                 access_log=False,
                 lifespan="off",

@@ -38,8 +38,9 @@ class Truth:
         told = sorted(set(texts))
         if told != list(self._read):
             self._read = {text: self._read.get(text) or self._world(text) for text in told}
-            if len(told) > 1:
-                self._complaints.warning("truth", f"{len(told)} simulators tell different worlds; one counts")
+            names = [world.name for world in self._read.values() if world is not None]
+            if len(names) > 1:
+                self._complaints.warning("simulators", f"they tell {len(names)} worlds; {names[0]!r} counts")
         self.world = next((world for world in self._read.values() if world is not None), None)
         if epoch != self._epoch:
             self._epoch, self._last = epoch, None
@@ -59,5 +60,5 @@ class Truth:
             reason = f"{len(text)} bytes are more than {MAX_BYTES}"
         except (OgmError, UnicodeDecodeError) as error:
             reason = str(error)
-        self._complaints.warning("truth", f"a simulator's world is passed over: {reason}")
+        self._complaints.warning("a simulator's world", f"passed over: {reason}")
         return None

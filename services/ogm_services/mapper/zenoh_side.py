@@ -5,21 +5,22 @@ import socket
 import time
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
-import msgpack
 import zenoh
 
 from ogm_core.errors import BadParameter, OgmError
-from ogm_core.keys import NAME, MapKeys, Service
+from ogm_core.keys import NAME, MapKeys
+from ogm_services.answer import Answer, Parameters
 from ogm_services.limited_log import LimitedLog
-from ogm_services.mapper.answers import Answer, Answers, Parameters
+from ogm_services.mapper.answers import Answers
 from ogm_services.mapper.inbox import Inbox, Item
 from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of
+from ogm_services.queryables import Queryables
 
 QUERY_THREADS = 4
+TRUTH_TIMEOUT = 0.5
+"""How long simulators may take to tell their world, s."""
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class ZenohSide:
     """A mapper's declarations on a session, until `close`.
 
     Zenoh's threads call the callbacks: that of the subscriber only counts and enqueues, those of the
-    queryables hand their query to a small pool, so that no link ever waits for an answer to be encoded.
+    queryables hand their query to a small pool.
     """
 
     def __init__(self, session: zenoh.Session, keys: MapKeys, inbox: Inbox, ledger: Ledger) -> None:
@@ -44,7 +45,7 @@ class ZenohSide:
         self._ledger = ledger
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
-        self._pool = ThreadPoolExecutor(QUERY_THREADS, "ogm-query")
+        self._queryables = Queryables(session, QUERY_THREADS)
 
     def claim(self) -> None:
         """Declare this mapper alive, and look for another one.
@@ -74,21 +75,36 @@ class ZenohSide:
             reset()
             return answers.status({})
 
-        self._answer("map", map_answer)
-        self._answer("cell", answers.cell)
-        self._answer("quality", answers.quality)
-        self._answer("status", answers.status)
-        self._answer("reset", reset_answer, exact=True)
+        self._declared.callback(self._queryables.close)
+        declare, key = self._queryables.declare, self._keys.service
+        declare(key("map"), map_answer)
+        declare(key("cell"), answers.cell)
+        declare(key("quality"), answers.quality)
+        declare(key("status"), answers.status)
+        declare(key("reset"), reset_answer, exact=True)
         self._declared.push(
             self._session.declare_subscriber(
                 self._keys.robots, zenoh.handlers.Callback(self._received, indirect=False)
             )
         )
 
+    def ask_truth(self) -> list[bytes]:
+        """What simulators of this map say their world is; [] at once if there is none.
+
+        Waits for the network, up to TRUTH_TIMEOUT: never call it from a callback.
+        """
+        # All of them are asked and heard: with one reply a key, which one it is would be chance.
+        replies = self._session.get(
+            self._keys.truth,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=TRUTH_TIMEOUT,
+        )
+        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
     def close(self) -> None:
         """Undeclare everything; queries in hand are answered first."""
         self._declared.close()
-        self._pool.shutdown()
 
     def _received(self, sample: zenoh.Sample) -> None:
         source = self._keys.source_of(str(sample.key_expr))
@@ -104,50 +120,6 @@ class ZenohSide:
             if sensor is not None:
                 self._ledger.scan_dropped(robot, sensor, "overload")
                 self._complaints.warning(f"{robot}/{sensor}", "the queue is full, its oldest scan is dropped")
-
-    def _answer(self, name: Service, answer: Callable[[Parameters], Answer], *, exact: bool = False) -> None:
-        key = self._keys.service(name)
-
-        def checked(query: zenoh.Query) -> Answer:
-            if exact and str(query.key_expr) != key:
-                raise BadParameter(f"{query.key_expr}: {name} is a write, ask for exactly {key}")
-            return answer(_parameters(query))
-
-        def callback(query: zenoh.Query) -> None:
-            self._pool.submit(_reply, query, key, checked)
-
-        handler = zenoh.handlers.Callback(callback, indirect=False)
-        self._declared.push(self._session.declare_queryable(key, handler, complete=False))
-
-
-def _reply(query: zenoh.Query, key: str, answer: Callable[[zenoh.Query], Answer]) -> None:
-    """Answer a query on its concrete key; every failure is told."""
-    with query:
-        try:
-            reply = answer(query)
-        except OgmError as error:
-            query.reply_err(problem_of(error), encoding=MEDIA_TYPE)
-        except Exception:
-            log.exception("a query of %s failed", key)
-            query.reply_err(problem("internal", 500, "the mapper failed; see its log"), encoding=MEDIA_TYPE)
-        else:
-            attachment = None if reply.meta is None else msgpack.packb(reply.meta)
-            query.reply(key, reply.body, encoding=reply.media_type, attachment=attachment)
-
-
-def _parameters(query: zenoh.Query) -> dict[str, str]:
-    """The selector's parameters; names that begin with "_" are Zenoh's own.
-
-    Raises:
-        BadParameter: one is given twice (Zenoh's own reading would silently take the last).
-    """
-    given: dict[str, str] = {}
-    for part in filter(None, str(query.parameters).split(";")):
-        name, _, value = part.partition("=")
-        if name in given:
-            raise BadParameter(f"{name}: given twice")
-        given[name] = value
-    return {name: value for name, value in given.items() if not name.startswith("_")}
 
 
 def _host_name() -> str:

@@ -1,0 +1,29 @@
+"""What a service answers, over HTTP and Zenoh alike; light, so that simulators load no kernels to answer."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ogm_core.errors import OgmError
+
+Parameters = Mapping[str, str]
+
+
+class UnknownName(OgmError):
+    """Nothing of that name is served."""
+
+    slug = "not-found"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A body, its media type, and for a map what `MapSnapshot.meta` says of it."""
+
+    body: bytes
+    media_type: str
+    meta: dict[str, Any] | None = None
+
+    @property
+    def etag(self) -> str | None:
+        """Strong validator of a map: its epoch and revision."""
+        return None if self.meta is None else f'"{self.meta["epoch"]}-{self.meta["revision"]}"'
