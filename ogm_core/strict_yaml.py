@@ -12,7 +12,11 @@ _PRINTABLE = 1e6
 """Integers beyond this are not spelt out."""
 
 
-class _Loader(yaml.SafeLoader):
+# libyaml's loader is several times faster; PyYAML is also built without it.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):  # type: ignore[misc]
     """SafeLoader that refuses a key given twice, where YAML libraries silently keep the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -22,7 +26,8 @@ class _Loader(yaml.SafeLoader):
                 text = f"key {key.value!r} is given twice"
                 raise yaml.constructor.ConstructorError(None, None, text, key.start_mark)
             seen.add(key.value)
-        return super().construct_mapping(node, deep)
+        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 def parse_yaml(text: str) -> object:

@@ -141,7 +141,8 @@ def dump_world(world: World) -> str:
         "walls": world.segments.tolist(),
         "path": path,
     }
-    return str(yaml.safe_dump(fields, sort_keys=False, default_flow_style=None))
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    return str(yaml.dump(fields, Dumper=dumper, sort_keys=False, default_flow_style=None))
 
 
 def _parse(text: str) -> Mapping[str, object]:
