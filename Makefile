@@ -3,13 +3,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check format pictures clean
+.PHONY: demo test check coverage format pictures variants clean
 
 demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
 
 test: $(VENV)/.dev $(VENV)/.kernels
 	$(BIN)/python -m pytest $(ARGS)
+
+# What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
+coverage: $(VENV)/.dev
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/core --cov=ogm_core --cov-branch \
+		--cov-report=term-missing:skip-covered $(ARGS)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -32,6 +37,10 @@ $(BIN)/ogm simulate --world $(1) --scans $(2) --seed 1 --out build/pictures/$(1)
 $(BIN)/ogm build build/pictures/$(1).jsonl.gz --out build/pictures/$(1)
 cp build/pictures/$(1)/map.png docs/$(1).png
 endef
+
+# The tables of docs/variants.md.
+variants: $(VENV)/.run $(VENV)/.kernels
+	$(BIN)/python docs/variants.py
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
