@@ -26,10 +26,12 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# The maps that README.md shows: one lap through each of the simulated worlds.
-pictures: $(VENV)/.run $(VENV)/.kernels
+# The maps that README.md and docs show: one lap through each of the simulated worlds.
+pictures: $(VENV)/.dev $(VENV)/.kernels
 	$(call picture,lab,220)
 	$(call picture,office,3675)
+	$(BIN)/ogm build build/pictures/lab.jsonl.gz --preset lab --world lab --out build/pictures/textbook \
+		--figure docs/textbook.png
 
 define picture
 mkdir -p build/pictures
