@@ -185,6 +185,17 @@ def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
     return left, bottom, right - left, top - bottom + 1
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, int, int]:
+    """Row, first column and the one after the last of a span inside the window, counted from its corner.
+
+    A span with nothing inside ends where it begins, at a tile's edge.
+    """
+    j = spans[0, n] - window.iy
+    first, end = max(spans[1, n] - window.ix, 0), min(spans[2, n] - window.ix, window.width)
+    return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def touch_tiles(spans: NDArray[np.int32], window: CellRect, touched: NDArray[np.int64], revision: int) -> int:
     """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
@@ -193,10 +204,7 @@ def touch_tiles(spans: NDArray[np.int32], window: CellRect, touched: NDArray[np.
     """
     fresh = 0
     for n in range(spans.shape[1]):
-        j = spans[0, n] - window.iy
-        first, end = max(spans[1, n] - window.ix, 0), min(spans[2, n] - window.ix, window.width)
-        if first >= end or not 0 <= j < window.height:
-            continue
+        j, first, end = _clipped(spans, n, window)
         for tx in range(first >> TILE_BITS, ((end - 1) >> TILE_BITS) + 1):
             if touched[tx, j >> TILE_BITS] == 0:
                 fresh += 1
@@ -219,10 +227,7 @@ def update_cells(
     """
     updates = 0
     for n in range(spans.shape[1]):
-        j = spans[0, n] - window.iy
-        first, end = max(spans[1, n] - window.ix, 0), min(spans[2, n] - window.ix, window.width)
-        if first >= end or not 0 <= j < window.height:
-            continue
+        j, first, end = _clipped(spans, n, window)
         updates += end - first
         while first < end:
             next_strip = min(end, ((first >> TILE_BITS) + 1) << TILE_BITS)

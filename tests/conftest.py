@@ -39,9 +39,23 @@ def eventually():
 
 
 @pytest.fixture(scope="session")
-def ros_maps():
-    """Folder of maps in nav2's format; tests that want it are skipped where it is not."""
+def datasets():
+    """Folder of recorded data; tests that want it are skipped where it is not."""
     folder = os.environ.get("OGM_DATASETS")
     if not folder:
-        pytest.skip("OGM_DATASETS is not set: it names the folder with recorded data, among them ros-maps")
-    return Path(folder) / "ros-maps"
+        pytest.skip(
+            "OGM_DATASETS is not set: it names the folder with recorded data, such as intel and ros-maps"
+        )
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def ros_maps(datasets):
+    """Folder of maps in nav2's format."""
+    return datasets / "ros-maps"
+
+
+@pytest.fixture(scope="session")
+def intel(datasets):
+    """Folder of the recorded building."""
+    return datasets / "intel"

@@ -256,15 +256,6 @@ def lab_recording(tmp_path_factory):
     return folder / "lab.jsonl"
 
 
-@pytest.fixture(scope="session")
-def intel():
-    """Folder of the recorded building; tests that want it are skipped where it is not."""
-    folder = os.environ.get("OGM_DATASETS")
-    if not folder:
-        pytest.skip("OGM_DATASETS is not set: it names the folder with recorded logs, among them intel")
-    return Path(folder) / "intel"
-
-
 def arrays(npz):
     """All arrays of an .npz file's bytes."""
     with np.load(io.BytesIO(npz)) as file:

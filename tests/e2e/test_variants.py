@@ -43,8 +43,8 @@ def test_the_lab(variants, tmp_path):
 
 
 @pytest.mark.parametrize("building", ["intel", "freiburg-079"])
-def test_a_recorded_building(variants, intel, building, tmp_path):
-    log = intel.parent / variants.BUILDINGS[building]
+def test_a_recorded_building(variants, datasets, building, tmp_path):
+    log = datasets / variants.BUILDINGS[building]
     assert_same(figures(variants.building_table(log, tmp_path)), printed(building))
 
 
