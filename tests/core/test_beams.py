@@ -155,6 +155,7 @@ def test_ranges_are_read_whatever_their_layout():
         (scan_of([900.0], angle_min=0.0, range_max=1000.0), Pose(2**52 * 0.05 - 1, 0.0, 0.0)),
     ],
 )
+@pytest.mark.filterwarnings("ignore:overflow")  # NumPy's, where kernels run as plain Python
 def test_what_has_no_cell_is_a_limit(scan, pose):
     with pytest.raises(LimitReached):
         cells_of(scan, pose, Lattice(0.05), GridSettings())

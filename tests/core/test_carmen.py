@@ -128,6 +128,7 @@ def test_a_malformed_line_does_not_settle_which_form_is_read():
         (flaser([1] * 180)[:-5], "FLASER: 191 fields are needed for 180 beams, got 190"),
         (flaser([1] * 180) + b" 1", "FLASER: 191 fields are needed for 180 beams, got 192"),
         (flaser([1] * 179 + ["x"]), r"FLASER: ranges\[179\]: a number is needed, got b'x'"),
+        (flaser([1] * 179 + ["1_0"]), r"FLASER: ranges\[179\]: a number is needed, got b'1_0'"),
         (flaser([1] * 180, pose="nan 0 0"), "FLASER: laser_pose_x: a finite number is needed, got nan"),
         (flaser([1] * 180, pose="0 0 inf"), "FLASER: laser_pose_theta: a finite number"),
         (flaser([1] * 180, odometry="1 b c"), "FLASER: robot_pose_y: a number is needed, got b'b'"),
