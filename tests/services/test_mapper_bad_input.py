@@ -68,8 +68,9 @@ def packed(message, changes):
 
 def test_garbage(sound):
     for payload in GARBAGE:
-        sound.put("robots/r/scan/s", payload)
+        # The scan comes last: it is scans that are waited for.
         sound.put("robots/r/pose", payload)
+        sound.put("robots/r/scan/s", payload)
     status = sound.settle(received=3 + len(GARBAGE))
     assert status["scans"]["dropped"]["malformed"] == len(GARBAGE)
     assert status["poses"] == {"received": len(GARBAGE), "malformed": len(GARBAGE), "late": 0}
