@@ -66,6 +66,8 @@ def main() -> None:
     options = parser.parse_args()
     if not options.rate > 0:
         parser.error("--rate: more than 0 is needed")
+    if options.scans is not None and options.scans < 1:
+        parser.error("--scans: 1 or more is needed")
 
     with RobotPublisher(options.robot, address=options.address, map_name=options.map) as robot:
         robot.wait_for_mapper()

@@ -69,6 +69,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.revisions is not None and options.revisions < 1:
         parser.error("--revisions: 1 or more is needed")
+    if options.out and not options.out.endswith((".png", ".svg")):
+        parser.error("--out: a name that ends in .png or .svg is needed")
     if options.out:
         plt.switch_backend("agg")
     elif plt.get_backend().lower() == "agg":

@@ -8,6 +8,8 @@ import yaml
 # What PyYAML lets through, beside its own error, from a scalar that is not what its tag says (!!bool maybe),
 # from a date that does not exist, and from an integer of thousands of digits.
 YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
+MAX_DEPTH = 50
+"""Lists and mappings may lie in each other this deep; none that is read here needs more than five."""
 _PRINTABLE = 1e6
 """Integers beyond this are not spelt out."""
 
@@ -34,14 +36,31 @@ def parse_yaml(text: str) -> object:
     """The plain value that YAML text stands for.
 
     Raises:
-        ValueError: it is not YAML, or gives a key twice; the text says why, in one line.
+        ValueError: it is not YAML, is nested too deep, or gives a key twice; the text says why, in one line.
     """
     try:
+        _check_depth(text)
         # _Loader is a SafeLoader: it makes plain values only.
         return yaml.load(text, Loader=_Loader)
     except YAML_ERRORS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"not YAML that can be read ({reason[:300]})") from error
+
+
+def _check_depth(text: str) -> None:
+    """Refuse deep nesting before a value is made of it.
+
+    libyaml makes values by recursion in C, which no Python error stops: the process would end. Its parser,
+    which only tells where what begins and ends, does not recurse.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > MAX_DEPTH:
+                raise ValueError(f"lists and mappings lie in each other more than {MAX_DEPTH} deep")
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
 
 
 def shown(value: object) -> str:

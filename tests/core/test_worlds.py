@@ -7,6 +7,7 @@ import pytest
 
 from ogm_core.errors import BadWorld
 from ogm_core.lattice import Region
+from ogm_core.strict_yaml import parse_yaml
 from ogm_core.trajectories import CirclePath, WaypointPath
 from ogm_core.types import Pose
 from ogm_core.worlds import dump_world, lab, load_world, office, world_named
@@ -224,9 +225,36 @@ def test_an_alias_bomb_is_refused_without_being_spelt_out():
         load_world(inline + PATH)
 
 
-def test_deep_nesting_is_refused():
-    with pytest.raises(BadWorld, match="not YAML"):
-        load_world("[" * (2 * sys.getrecursionlimit()))
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 51,
+        "[" * (2 * sys.getrecursionlimit()),
+        "a: " + "[" * 200_000,
+        "a: " + "[" * 50_000 + "]" * 50_000,
+        "{a: " * 50_000,
+        "\n".join(" " * k + "- " for k in range(3000)),
+        "\n".join(" " * k + "a:" for k in range(3000)),
+    ],
+    ids=["51 lists", "recursion", "open lists", "closed lists", "mappings", "block lists", "block mappings"],
+)
+def test_deep_nesting_is_refused(text):
+    # In a process of its own: what recurses without end in C ends the process.
+    script = "import sys; from ogm_core.worlds import load_world; load_world(sys.stdin.read())"
+    ended = subprocess.run(
+        [sys.executable, "-c", script], input=text, text=True, capture_output=True, timeout=60
+    )
+    assert ended.returncode == 1
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith(
+        "ogm_core.errors.BadWorld: not YAML that can be read (lists and mappings lie in each other"
+    )
+
+
+def test_fifty_levels_are_not_too_deep():
+    assert parse_yaml("[" * 50 + "]" * 50) is not None
+    with pytest.raises(ValueError, match="more than 50 deep"):
+        parse_yaml("[" * 51 + "]" * 51)
 
 
 @pytest.mark.parametrize("digits", ["1" + "0" * 400, "1" + "0" * 9000, "0x" + "f" * 9000])

@@ -87,6 +87,15 @@ def test_what_is_no_world_is_no_truth_and_harms_nothing(mapper, eventually, capl
     eventually(lambda: quality(mapper)["truth"])
 
 
+def test_a_world_without_end_does_not_end_the_mapper(mapper, eventually, caplog):
+    mapper.draw_cross()
+    simulator(mapper.session, telling("a: " + "[" * 200_000))
+    eventually(lambda: caplog.records)
+    assert "lie in each other more than 50 deep" in caplog.records[0].getMessage()
+    assert quality(mapper)["truth"] is None
+    assert mapper.status()["revision"] == 3
+
+
 def test_of_two_simulators_one_counts(mapper, eventually):
     mapper.draw_cross()
     told = sorted((dump_world(lab()), dump_world(office())))
