@@ -212,23 +212,20 @@ def _numbers(tokens: list[bytes], names: Callable[[], Sequence[str]]) -> list[fl
     """All fields but the name, and host and logger_time at the end, which are not looked at."""
     fields = tokens[1:-2]
     try:
-        numbers = list(map(float, fields))
+        if b"_" not in b"".join(fields):  # 1_000 is a number to Python alone
+            return list(map(float, fields))
     except ValueError:
-        numbers = []
-    if not numbers or any(b"_" in field for field in fields):
-        wrong = next(k for k, field in enumerate(fields) if not _is_number(field))
-        raise BadMessage(f"{names()[wrong]}: a number is needed, got {fields[wrong]!r}")
-    return numbers
+        pass
+    wrong = next(k for k, field in enumerate(fields) if not _is_number(field))
+    raise BadMessage(f"{names()[wrong]}: a number is needed, got {fields[wrong]!r}")
 
 
 def _is_number(text: bytes) -> bool:
-    if b"_" in text:  # 1_000 is a number to Python alone
-        return False
     try:
         float(text)
     except ValueError:
         return False
-    return True
+    return b"_" not in text
 
 
 def _check_finite(**numbers: float) -> None:

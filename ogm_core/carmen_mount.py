@@ -12,6 +12,7 @@ from collections.abc import Iterable
 
 from ogm_core.carmen import CarmenLog, LaserLine
 from ogm_core.errors import BadMessage, BadSetting
+from ogm_core.poses import shorter_arc
 from ogm_core.types import IDENTITY, Pose, PoseStamped
 
 SAME_M = 0.01
@@ -88,7 +89,7 @@ class _Survey:
         if self._sweeps == 1:
             self._first = mount
         near = math.hypot(mount.x - self._first.x, mount.y - self._first.y) <= SAME_M
-        self._agree &= near and abs(_turn(self._first.theta, mount.theta)) <= SAME_RAD
+        self._agree &= near and abs(shorter_arc(self._first.theta, mount.theta)) <= SAME_RAD
 
     def _note(self, tokens: list[bytes]) -> None:
         """Keep a parameter as it was first said."""
@@ -106,9 +107,4 @@ def _seen_from(robot: Pose, laser: Pose) -> Pose:
     """The laser's pose in the robot's frame, of two poses in one frame."""
     dx, dy = laser.x - robot.x, laser.y - robot.y
     c, s = math.cos(robot.theta), math.sin(robot.theta)
-    return Pose(c * dx + s * dy, c * dy - s * dx, _turn(robot.theta, laser.theta))
-
-
-def _turn(start: float, end: float) -> float:
-    """The shorter arc between two finite headings, rad."""
-    return math.remainder(math.remainder(end, math.tau) - math.remainder(start, math.tau), math.tau)
+    return Pose(c * dx + s * dy, c * dy - s * dx, shorter_arc(robot.theta, laser.theta))

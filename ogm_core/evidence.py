@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from ogm_core import beams, bresenham, dda, sector
 from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import CellRect, Lattice
+from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 from ogm_core.projection import project
 from ogm_core.star import star_of
 from ogm_core.strips import StripStore
 from ogm_core.types import PlacedScan
 
-_FAR = 2**30
-"""Farther than any cell from its sensor."""
 _PROBE = 8
 """Rows at the top, the middle and the bottom of a scan that are looked at first."""
 
@@ -58,50 +56,51 @@ class Evidence:
         )
 
 
-def observe(placed: PlacedScan, lattice: Lattice, settings: GridSettings) -> Evidence:
+def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     """Read a placed scan as the settings say.
 
     Raises:
-        LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
+        LimitReached: the sensor or a beam's end is farther away than cells can be addressed, or the scan is
+            larger than any map may be.
         OutsideBounds: every beam that counts leaves bounds that drop such beams.
     """
+    lattice, bounds = settings.lattice()
     by_sector = settings.sensor == "sector"
     if by_sector and placed.sweep is not None:
         placed = PlacedScan(placed.scan, placed.sweep.middle)
     exact = settings.traversal == "dda" and not by_sector
     cells, lines = project(placed, lattice, settings, exact=exact)
-    bounds = settings.lattice()[1]
     if bounds is not None and settings.outside == "drop":
         counted, dropped = beams.drop_outside(cells, *bounds)
         if counted and dropped == counted:
             raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
     if by_sector:
-        return _seen(placed, cells[2], lattice, settings)
+        return _seen(placed, cells[2], settings)
     if exact:
         return Evidence(dda, (cells, lines))
     return Evidence(bresenham, (cells,))
 
 
-def _seen(placed: PlacedScan, kinds: NDArray[np.int64], lattice: Lattice, settings: GridSettings) -> Evidence:
+def _seen(placed: PlacedScan, kinds: NDArray[np.int64], settings: GridSettings) -> Evidence:
     """Read a placed scan as sectors; `kinds` says which beams count."""
+    lattice, bounds = settings.lattice()
     sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
     edges = sector.edges_of(*star_of(placed, kinds, lattice.resolution, settings), fv)
-    low, high = sector.rows_of(edges)
-    bounds = settings.lattice()[1]
     if bounds is not None:
         window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
     else:
-        window = CellRect(-_FAR, low, 2 * _FAR, high - low)
-        _refuse_early(edges, fu, fv, window, settings.max_cells)
+        window = CellRect(*sector.box_of(edges))
+        if window.cells > settings.max_cells:
+            _refuse_early(edges, fu, fv, window, settings.max_cells)
     return Evidence(sector, (sector.spans(edges, fu, fv, window),), sensor_cell)
 
 
-def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, window: CellRect, max_cells: int) -> None:
+def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, box: CellRect, max_cells: int) -> None:
     """Refuse a scan that is certainly too large for any map, before all its cells are listed."""
     extent = CellRect(0, 0, 0, 0)
-    top = window.iy + window.height
-    for first in (window.iy, -_PROBE // 2, top - _PROBE):
-        probe = CellRect(window.ix, first, window.width, _PROBE)
+    top = box.iy + box.height
+    for first in (box.iy, -_PROBE // 2, top - _PROBE):
+        probe = CellRect(box.ix, first, box.width, _PROBE)
         found = CellRect(*sector.extent(sector.spans(edges, fu, fv, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found

@@ -81,7 +81,7 @@ class OccupancyGrid:
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
         try:
-            updates = self._update(observe(PlacedScan(scan, pose, sweep), self.lattice, self.settings))
+            updates = self._update(observe(PlacedScan(scan, pose, sweep), self.settings))
         except MemoryError as error:
             raise LimitReached("the system has no memory left for the map") from error
         self.revision += 1

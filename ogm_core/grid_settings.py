@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from ogm_core.errors import BadSetting
@@ -58,6 +59,10 @@ class GridSettings:
 
     def lattice(self) -> tuple[Lattice, CellRect | None]:
         """The map's lattice, and the cells of its bounds if it has any."""
+        return self._lattice
+
+    @cached_property
+    def _lattice(self) -> tuple[Lattice, CellRect | None]:
         if self.bounds is None:
             return Lattice(self.resolution, self.anchor), None
         return bounded(self.resolution, self.bounds)

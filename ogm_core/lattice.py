@@ -8,6 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ogm_core.errors import BadParameter, BadSetting
 
 MIN_RESOLUTION = 0.001
@@ -97,6 +100,11 @@ class Lattice:
             raise BadParameter(f"point ({x:g}, {y:g}): no cell has such coordinates")
         ix, iy = math.floor(u), math.floor(v)
         return (ix, iy), (u - ix, v - iy)
+
+    def in_cells(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points, m, shape (..., 2), in cells from the anchor: what `cell_of` takes the floor of."""
+        cells: NDArray[np.float64] = (points - self.anchor) / self.resolution
+        return cells
 
     def corner_of(self, ix: int, iy: int) -> tuple[float, float]:
         """World position of the lower-left corner of cell (ix, iy), m."""

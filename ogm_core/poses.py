@@ -61,7 +61,9 @@ class PoseHistory:
             return None
         p0, p1 = self._poses[after - 1], self._poses[after]
         f = (stamp - t0) / (t1 - t0)
-        return Pose(p0.x + f * (p1.x - p0.x), p0.y + f * (p1.y - p0.y), p0.theta + f * _arc(p0, p1))
+        return Pose(
+            p0.x + f * (p1.x - p0.x), p0.y + f * (p1.y - p0.y), p0.theta + f * shorter_arc(p0.theta, p1.theta)
+        )
 
     def along(self, scan: Scan) -> Sweep | None:
         """The sensor's poses while `scan` swept, one a beam; each as `at` gives it, with the scan's mount.
@@ -86,7 +88,7 @@ class PoseHistory:
         nodes = np.array(poses)
         steps = np.zeros((len(poses), 3))
         for n, (p0, p1) in enumerate(pairwise(poses)):
-            steps[n] = p1.x - p0.x, p1.y - p0.y, _arc(p0, p1)
+            steps[n] = p1.x - p0.x, p1.y - p0.y, shorter_arc(p0.theta, p1.theta)
         upper = np.searchsorted(times, after)
         lower = np.maximum(upper - 1, 0)
         met = times[upper] == after
@@ -97,12 +99,12 @@ class PoseHistory:
         return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
 
 
-def _arc(p0: Pose, p1: Pose) -> float:
-    """The shortest turn from one heading to another, rad."""
-    turn = p1.theta - p0.theta
+def shorter_arc(start: float, end: float) -> float:
+    """The shorter turn from one heading to another, both finite, rad."""
+    turn = end - start
     if not math.isfinite(turn):
         # Two finite headings may differ by more than float64 holds; whole turns do not count.
-        turn = math.remainder(p1.theta, math.tau) - math.remainder(p0.theta, math.tau)
+        turn = math.remainder(end, math.tau) - math.remainder(start, math.tau)
     return math.remainder(turn, math.tau)
 
 

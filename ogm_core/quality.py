@@ -136,7 +136,7 @@ def _predict(
 ) -> NDArray[np.float64]:
     resolution = snapshot.lattice.resolution
     sensor = sensor_poses(placed).copy()
-    sensor[:, :2] = (sensor[:, :2] - snapshot.lattice.anchor) / resolution - snapshot.offset
+    sensor[:, :2] = snapshot.lattice.in_cells(sensor[:, :2]) - snapshot.offset
     judged: NDArray[np.float64] = judge.predict_ranges(
         read_only(placed.scan.ranges),
         beam_model(placed.scan, settings),

@@ -35,9 +35,6 @@ FREE, OCCUPIED = 1, 2
 _FAR = 2**30
 _FLAT = 1e-300
 
-Spans = NDArray[np.int32]
-"""Shape (4, n): row, first column, column after the last, class."""
-
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _height(row: int, fv: float) -> float:
@@ -120,22 +117,25 @@ def edges_of(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def rows_of(edges: NDArray[np.float64]) -> tuple[int, int]:
-    """The lowest row that any edge meets, and the row after the highest."""
+def box_of(edges: NDArray[np.float64]) -> tuple[int, int, int, int]:
+    """A rectangle (ix, iy, width, height) that holds every span: the edges' rows, and columns enough."""
     if edges.shape[1] == 0:
-        return 0, 0
-    return int(edges[0].min()), int(edges[1].max())
+        return 0, 0, 0, 0
+    left, right = math.floor(edges[5].min()) - 1, math.ceil(edges[6].max()) + 1
+    bottom, top = int(edges[0].min()), int(edges[1].max())
+    return left, bottom, right - left, top - bottom
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spans(edges: NDArray[np.float64], fu: float, fv: float, window: CellRect) -> NDArray[np.int32]:
     """Cells of each class as spans of rows, for a sensor at (fu, fv) within its cell; no cell twice.
 
-    Only spans that meet `window` are kept; what lies outside costs neither memory nor, above and below it,
-    time. A cell whose centre is the sensor has no bearing and is left out.
+    Returns shape (4, n): row, first column, column after the last, class. Only spans that meet `window` are
+    kept; what lies outside costs neither memory nor, above and below it, time. A cell whose centre is the
+    sensor has no bearing and is left out.
     """
-    lowest, highest = rows_of(edges)
-    lowest, highest = max(lowest, window.iy), min(highest, window.iy + window.height)
+    _, bottom, _, height = box_of(edges)
+    lowest, highest = max(bottom, window.iy), min(bottom + height, window.iy + window.height)
     rows = max(highest - lowest, 0)
     inside = np.zeros(rows, np.int8)
     met = np.empty(rows, np.int32)

@@ -39,7 +39,7 @@ def star_of(
     """
     # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
     heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
-    rays, quadrants = star_kernel(
+    found = wedges(
         read_only(placed.scan.ranges),
         beam_model(placed.scan, settings),
         kinds,
@@ -47,6 +47,7 @@ def star_of(
         heading,
         float(resolution),
     )
+    rays, quadrants = from_axis_to_axis(found)
     return rays, quadrants
 
 
@@ -62,27 +63,7 @@ def _round(scan: Scan) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def star_kernel(
-    ranges: NDArray[np.float32],
-    beam: BeamModel,
-    kinds: NDArray[np.int64],
-    order: NDArray[np.int64],
-    heading: float,
-    resolution: float,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Rays and quadrants of a star; `order` are beams as they are met counter-clockwise."""
-    found = _wedges(ranges, beam, kinds, order, heading, resolution)
-    angles = found[0] - np.floor(found[0] / TURN) * TURN
-    # The round begins at the x axis, before the ray where the angles fall back from 2 pi to 0.
-    begin = 0
-    for r in range(angles.size):
-        if angles[r - 1] - angles[r] > angles[begin - 1] - angles[begin]:
-            begin = r
-    return _from_axis_to_axis(found, angles, begin)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _wedges(
+def wedges(
     ranges: NDArray[np.float32],
     beam: BeamModel,
     kinds: NDArray[np.int64],
@@ -90,7 +71,10 @@ def _wedges(
     heading: float,
     resolution: float,
 ) -> NDArray[np.float64]:
-    """Angle, inner and outer radius of every ray but the axes', counter-clockwise from any one on."""
+    """Angle, inner and outer radius of every ray but the axes', counter-clockwise from any one on.
+
+    `order` are the beams as they are met counter-clockwise.
+    """
     n = order.size
     half = abs(beam.angle_increment) / 2.0
     found = np.zeros((3, 2 * n))
@@ -119,11 +103,15 @@ def _wedges(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_axis_to_axis(
-    found: NDArray[np.float64], angles: NDArray[np.float64], begin: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """One round of rays from the x axis on, which ray `begin` is the first to follow, with all four axes."""
+def from_axis_to_axis(found: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Rays and quadrants of one round from the x axis on, with all four axes; `found` are the wedges."""
+    angles = found[0] - np.floor(found[0] / TURN) * TURN
     count = angles.size
+    # The round begins before the ray where the angles fall back from 2 pi to 0.
+    begin = 0
+    for r in range(count):
+        if angles[r - 1] - angles[r] > angles[begin - 1] - angles[begin]:
+            begin = r
     rays = np.zeros((4, count + 5))
     quadrants = np.zeros(count + 5, np.int64)
     inner, outer = found[1, begin - 1], found[2, begin - 1]

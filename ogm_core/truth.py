@@ -65,8 +65,8 @@ def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
     """
     occupied = np.zeros((rect.height, rect.width), np.bool_)
     corner = np.array([rect.ix, rect.iy])
-    ends = (world.segments.reshape(-1, 2, 2) - lattice.anchor) / lattice.resolution - corner
-    centres = (world.circles[:, :2] - lattice.anchor) / lattice.resolution - corner
+    ends = lattice.in_cells(world.segments.reshape(-1, 2, 2)) - corner
+    centres = lattice.in_cells(world.circles[:, :2]) - corner
     for runs in _segment_runs(ends, rect):
         _mark(occupied, runs)
     for runs in _circle_runs(centres, world.circles[:, 2] / lattice.resolution, rect):

@@ -63,9 +63,7 @@ class RayCaster:
         self._log_odds, self._offset = log_odds, offset
         self._cell = lattice.cell_of(*point)
         self._check_inside(lattice, point)
-        self._start = tuple(
-            (value - zero) / lattice.resolution for value, zero in zip(point, lattice.anchor, strict=True)
-        )
+        self._start = lattice.in_cells(np.array(point, np.float64)).tolist()
         self._resolution, self._max_range = lattice.resolution, max_range
 
     def cast(self, theta: float) -> Ray:

@@ -4,9 +4,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ogm_core.errors import OgmError
+from ogm_core.errors import BadParameter, OgmError
 
 Parameters = Mapping[str, str]
+
+
+def refuse_parameters(given: Parameters, name: str) -> None:
+    """Refuse any parameter of what has none.
+
+    Raises:
+        BadParameter: there is one; the text names it.
+    """
+    if given:
+        raise BadParameter(f"{next(iter(given))}: {name} has no parameters")
 
 
 class UnknownName(OgmError):

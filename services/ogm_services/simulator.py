@@ -13,13 +13,12 @@ import typer
 from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
-from ogm_core.errors import BadParameter
 from ogm_core.keys import MapKeys
 from ogm_core.lidar import Lidar, measure
 from ogm_core.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
 from ogm_core.worlds import World, dump_world, world_named
-from ogm_services.answer import Answer, Parameters
+from ogm_services.answer import Answer, Parameters, refuse_parameters
 from ogm_services.queryables import Queryables
 from ogm_services.settings import NetworkSettings
 from ogm_services.simulator_options import SimulatorOptions
@@ -132,8 +131,7 @@ def _truth(world: World) -> Callable[[Parameters], Answer]:
     answer = Answer(dump_world(world).encode(), "application/yaml")
 
     def truth(given: Parameters) -> Answer:
-        if given:
-            raise BadParameter(f"{next(iter(given))}: truth has no parameters")
+        refuse_parameters(given, "truth")
         return answer
 
     return truth

@@ -9,9 +9,9 @@ from contextlib import ExitStack
 
 import zenoh
 
-from ogm_core.errors import BadParameter, OgmError
+from ogm_core.errors import OgmError
 from ogm_core.keys import NAME, MapKeys
-from ogm_services.answer import Answer, Parameters
+from ogm_services.answer import Answer, Parameters, refuse_parameters
 from ogm_services.limited_log import LimitedLog
 from ogm_services.mapper.answers import Answers
 from ogm_services.mapper.inbox import Inbox, Item
@@ -70,8 +70,7 @@ class ZenohSide:
             return answers.map(given.get("format", "json"), {k: v for k, v in given.items() if k != "format"})
 
         def reset_answer(given: Parameters) -> Answer:
-            if given:
-                raise BadParameter(f"{next(iter(given))}: reset has no parameters")
+            refuse_parameters(given, "reset")
             reset()
             return answers.status({})
 
