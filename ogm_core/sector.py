@@ -113,7 +113,8 @@ def edges_of(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float)
         n = _arc(edges, n, FREE, inner, c, s, c_next, s_next, fv)
         if not inward:
             n = _arc(edges, n, OCCUPIED, outer, c, s, c_next, s_next, fv)
-    return edges[:, :n]
+    # Copied, for one kind of array: see ogm_core.star.wedges.
+    return edges[:, :n].copy()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

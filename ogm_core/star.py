@@ -99,7 +99,8 @@ def wedges(
             found[1, count] = max(length - thickness, 0.0) / resolution
             found[2, count] = (length + thickness) / resolution
         count += 1
-    return found[:, :count]
+    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
+    return found[:, :count].copy()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -51,6 +51,10 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
     ranges = np.array([1.0, 7.9, math.inf, math.nan], np.float32)
     scan = decode_scan(encode_scan(Scan(0, 0.0, 0.1, 0.0, 8.0, ranges)))
     live_map.integrate(scan, Pose(0, 0, 0))
+    # One beam, or nothing seen: arrays of a single column, or of none, have another memory layout to numba.
+    for odd in ([1.0], [math.nan], [math.nan, math.nan], [1.0, math.nan, 2.0]):
+        live_map.integrate(Scan(0, 0.0, 0.1, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
+        live_map.integrate(Scan(0, 0.0, 1.9, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
     live_map.quality()
     assert compiled() == before
 
