@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check coverage format pictures variants clean
+.PHONY: demo test check coverage format pictures variants bench bench-quick clean
 
 demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
@@ -43,6 +43,14 @@ endef
 # The tables of docs/variants.md.
 variants: $(VENV)/.run $(VENV)/.kernels
 	$(BIN)/python docs/variants.py
+
+# How fast the map is, against other programs of its kind where g++ and their headers are installed.
+bench: $(VENV)/.run $(VENV)/.kernels
+	$(BIN)/python -m benchmarks $(ARGS)
+
+# The same in under a minute, with fewer scans and rounds.
+bench-quick: $(VENV)/.run $(VENV)/.kernels
+	$(BIN)/python -m benchmarks --quick $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

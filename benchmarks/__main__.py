@@ -1,0 +1,68 @@
+"""`python -m benchmarks`: run the benchmarks, show their table and keep it.
+
+`--quick` takes fewer scans and rounds and stays under a minute; its table goes to build/benchmarks. Names of
+benchmarks choose among them.
+"""
+
+import argparse
+import importlib
+import importlib.util
+import platform
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from benchmarks.table import Result, as_text, keep
+
+ROOT = Path(__file__).parents[1]
+BENCHMARKS = ("integration", "services")
+"""Modules of this package, each with `run(quick: bool) -> list[Result]`."""
+
+
+def main() -> None:
+    """Run the benchmarks that the command line names, or all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of: {', '.join(BENCHMARKS)}")
+    parser.add_argument("--quick", action="store_true", help="fewer scans and rounds")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(BENCHMARKS):
+        parser.error(f"no benchmark of the name {', '.join(sorted(unknown))}")
+    results: list[Result] = []
+    for name in arguments.names or BENCHMARKS:
+        run = benchmark(name)
+        if run is None:
+            print(f"{name}: not there, left out")
+            continue
+        results += run(arguments.quick)
+    print(as_text(results))
+    folder = ROOT / ("build/benchmarks" if arguments.quick else "benchmarks/results")
+    keep(results, folder, f"Measured on {machine()}")
+    print(f"kept in {folder.relative_to(ROOT)}")
+
+
+def benchmark(name: str) -> Callable[[bool], list[Result]] | None:
+    """The `run` of a module of this package; None if there is no such module."""
+    module = f"benchmarks.{name}"
+    if importlib.util.find_spec(module) is None:
+        return None
+    return cast(Callable[[bool], list[Result]], importlib.import_module(module).run)
+
+
+def machine() -> str:
+    """Processor, Python and numpy."""
+    processor = platform.processor() or platform.machine()
+    for line in _lines(Path("/proc/cpuinfo")):
+        if line.startswith("model name"):
+            processor = line.partition(":")[2].strip()
+            break
+    return f"{processor}, Python {platform.python_version()}, numpy {np.__version__}"
+
+
+def _lines(path: Path) -> list[str]:
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+
+
+if __name__ == "__main__":
+    main()
