@@ -40,8 +40,9 @@ class Result:
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Three significant digits and the unit; whole numbers from 1000 on."""
-    digits = f"{value:,.0f}" if abs(value) >= 999.5 else f"{value:#.3g}".rstrip(".")
+    """Three significant digits and the unit; whole numbers and those from 1000 on without decimals."""
+    whole = isinstance(value, int) or abs(value) >= 999.5
+    digits = f"{value:,.0f}" if whole else f"{value:#.3g}".rstrip(".")
     return f"{digits} {unit}".rstrip()
 
 

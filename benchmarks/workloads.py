@@ -10,14 +10,16 @@
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.grid_settings import GridSettings, Outside, SensorModel, Traversal
 from ogm_core.lattice import Region
 from ogm_core.lidar import Lidar, measure
+from ogm_core.logodds import CellType, LogOdds
 from ogm_core.recordings import RecordedScan, RecordingReader
 from ogm_core.trajectories import WaypointPath
 from ogm_core.types import PlacedScan, Pose, Scan
@@ -39,7 +41,7 @@ class Workload:
     resolution: float
     alpha: float
     bounds: Region | None = None
-    outside: str = "clip"
+    outside: Outside = "clip"
     clear_range: float | None = None
 
 
@@ -124,3 +126,28 @@ def _simulated(world: World, lap: list[Pose], lidar: Lidar, rng: np.random.Gener
         PlacedScan(Scan(k * period, *limits, measure(world, pose, lidar, rng), pose=pose, seq=k), pose)
         for k, pose in enumerate(lap)
     ]
+
+
+def settings_of(
+    work: Workload,
+    *,
+    cells: CellType = "int16",
+    sensor: SensorModel = "beam",
+    traversal: Traversal = "bresenham",
+) -> GridSettings:
+    """The settings of a map that takes the workload's scans."""
+    return GridSettings(
+        resolution=work.resolution,
+        model=LogOdds(cells),
+        sensor=sensor,
+        traversal=traversal,
+        alpha=work.alpha,
+        clear_range=work.clear_range,
+        bounds=work.bounds,
+        outside=work.outside,
+    )
+
+
+def first_scans(work: Workload, count: int) -> Workload:
+    """The workload without its later scans."""
+    return replace(work, scans=work.scans[:count])

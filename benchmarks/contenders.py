@@ -1,0 +1,80 @@
+"""Who maps a workload, round by round: the map of this project, and its peers."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers.process import NoPeer, Peer, build
+from benchmarks.workloads import Workload
+from ogm_core.errors import OutsideBounds
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+
+
+class Contender(Protocol):
+    """Maps a workload as often as it is told to, each time into a fresh map."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in results."""
+
+    def round(self) -> NDArray[np.float64]:
+        """CPU time of every scan, us."""
+
+
+class Ours:
+    """An `OccupancyGrid`, fed as the mapper feeds it: scan after scan into a map that grows."""
+
+    def __init__(self, name: str, work: Workload, settings: GridSettings) -> None:
+        """Compile what the settings need."""
+        self.name = name
+        self.settings = settings
+        self.work = work
+        self.grid = OccupancyGrid(settings)
+        self._add(0)
+
+    def round(self) -> NDArray[np.float64]:
+        """Map the workload; `grid` is the map then."""
+        self.grid = OccupancyGrid(self.settings)
+        seconds = np.empty(len(self.work.scans))
+        for n in range(seconds.size):
+            begin = time.thread_time()
+            self._add(n)
+            seconds[n] = time.thread_time() - begin
+        return 1e6 * seconds
+
+    def _add(self, n: int) -> None:
+        scan, pose, _ = self.work.scans[n]
+        try:
+            self.grid.integrate(scan, pose)
+        except OutsideBounds:
+            return  # as the mapper does: the scan is dropped
+
+
+def peers(names: Sequence[str], workload: Path, folder: Path) -> list[Peer]:
+    """The peers that can be built here, each with the workload file loaded; says which cannot."""
+    found = []
+    for name in names:
+        try:
+            found.append(Peer(build(name, folder), workload))
+        except NoPeer as reason:
+            print(f"left out: {reason}")
+    return found
+
+
+def interleaved(contenders: Sequence[Contender], rounds: int) -> dict[str, float]:
+    """CPU time of a scan by contender's name, us: the mean over the scans of each one's best round.
+
+    All take turns, so that a slow minute of the machine is everybody's. Other programs' load comes and goes
+    within a round; that is why every scan has its own best round.
+    """
+    best: dict[str, NDArray[np.float64]] = {}
+    for _ in range(rounds):
+        for contender in contenders:
+            times = contender.round()
+            best[contender.name] = np.minimum(best.get(contender.name, times), times)
+    return {name: float(times.mean()) for name, times in best.items()}

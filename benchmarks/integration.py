@@ -1,0 +1,141 @@
+"""How fast scans get into a map: the variants of this project's map beside other programs of its kind.
+
+CPU time of integration alone: the scans are in memory; no messages, no pictures. The maps are compared, too:
+the textbook's must be the same, bit for bit.
+"""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from benchmarks.agreement import different_cells, same_class
+from benchmarks.contenders import Contender, Ours, interleaved, peers
+from benchmarks.peers.process import Peer
+from benchmarks.peers.workload_file import write_workload
+from benchmarks.table import Result
+from benchmarks.workloads import BIG_SCANS, WORKLOADS, Workload, first_scans, settings_of
+
+SCRATCH = Path(__file__).parents[1] / "build" / "benchmarks"
+ROUNDS, QUICK_ROUNDS = 7, 4
+QUICK_SCANS = BIG_SCANS // 10
+OCTOMAP_SCANS, QUICK_OCTOMAP_SCANS = 30, 10
+"""OctoMap takes some 80 ms a scan."""
+
+BRESENHAM, BRESENHAM_64 = "beam, bresenham, int16", "beam, bresenham, float64"
+DDA, SECTOR = "beam, dda, int16", "sector, int16"
+PEERS = {"textbook": "textbook in C++", "mrpt": "MRPT", "octomap": "OctoMap"}
+TARGETS = {
+    (BRESENHAM, "mrpt"): 1.25,
+    (BRESENHAM, "textbook"): 5.0,
+    (BRESENHAM_64, "textbook"): 3.0,
+    (DDA, "textbook"): 2.5,
+    (SECTOR, "mrpt"): 2.7,
+    (SECTOR, "textbook"): 10.0,
+}
+"""How many times faster than a peer a variant is to be, on workload `big`."""
+
+
+def run(quick: bool) -> list[Result]:
+    """Measure on every workload that is there; `quick`: on the first scans of those that are simulated."""
+    SCRATCH.mkdir(parents=True, exist_ok=True)
+    results = []
+    for name in ("lab", "big") if quick else WORKLOADS:
+        work = WORKLOADS[name]()
+        if work is None:
+            print(f"left out: workload {name}, a recording that is not here")
+            continue
+        results += measured(first_scans(work, QUICK_SCANS) if quick else work, quick)
+    return results
+
+
+def measured(work: Workload, quick: bool) -> list[Result]:
+    """Times and ratios of one workload, and how far the peers' maps are the same."""
+    file = SCRATCH / f"{work.name}.workload"
+    write_workload(work, file)
+    ours = variants(work)
+    with ExitStack() as stack:
+        fast = [stack.enter_context(peer) for peer in peers(("textbook", "mrpt"), file, SCRATCH)]
+        times = interleaved([*fast, *ours], QUICK_ROUNDS if quick else ROUNDS)
+        results = [*timed(work, times), *ratios(work, times), *compared(work, fast, ours)]
+    file.unlink()
+    return results + octomap(first_scans(work, QUICK_OCTOMAP_SCANS if quick else OCTOMAP_SCANS))
+
+
+def variants(work: Workload) -> list[Ours]:
+    """The map of this project in the forms that are measured."""
+    return [
+        Ours(BRESENHAM, work, settings_of(work)),
+        Ours(BRESENHAM_64, work, settings_of(work, cells="float64")),
+        Ours(DDA, work, settings_of(work, traversal="dda")),
+        Ours(SECTOR, work, settings_of(work, sensor="sector")),
+    ]
+
+
+def timed(work: Workload, times: dict[str, float]) -> list[Result]:
+    """CPU time of a scan."""
+    group = f"integration of {work.name}: CPU time of a scan"
+    return [Result(group, PEERS.get(name, name), us, "us") for name, us in times.items()]
+
+
+def ratios(work: Workload, times: dict[str, float]) -> list[Result]:
+    """How many times faster every variant is than the peers that were measured."""
+    return [
+        Result(
+            f"integration of {work.name}: times the peer's speed",
+            f"{name}, of {PEERS[peer]}",
+            times[peer] / us,
+            "x",
+            TARGETS.get((name, peer)) if work.name == "big" else None,
+        )
+        for name, us in times.items()
+        for peer in ("mrpt", "textbook")
+        if name not in PEERS and peer in times
+    ]
+
+
+def compared(work: Workload, fast: Sequence[Peer], ours: Sequence[Ours]) -> list[Result]:
+    """Whether the float64 map is the textbook's, and how much of MRPT's agrees with it."""
+    group = f"integration of {work.name}: the same work"
+    exact = next(variant for variant in ours if variant.name == BRESENHAM_64)
+    results = []
+    for peer in fast:
+        if peer.name == "textbook":
+            difference = abs(peer.updates - exact.grid.cell_updates)
+            cells = different_cells(peer, exact.grid, SCRATCH)
+            results += [
+                Result(
+                    group, "cell updates more or less than the textbook's, float64", difference, "", 0, False
+                ),
+                Result(group, "cells unlike the textbook's in any bit, float64", cells, "", 0, False),
+            ]
+        else:
+            results.append(agreement(group, peer, exact))
+    return results
+
+
+def octomap(work: Workload) -> list[Result]:
+    """OctoMap's time for a few scans, and how much of its map agrees."""
+    file = SCRATCH / f"{work.name}.workload"
+    write_workload(work, file)
+    results = []
+    with ExitStack() as stack:
+        for peer in peers(("octomap",), file, SCRATCH):
+            stack.enter_context(peer)
+            exact = Ours(BRESENHAM_64, work, settings_of(work, cells="float64"))
+            contenders: list[Contender] = [peer, exact]
+            times = interleaved(contenders, 2)
+            name = f"{PEERS[peer.name]}, the first {len(work.scans)} scans"
+            group = f"integration of {work.name}"
+            results += [
+                Result(f"{group}: CPU time of a scan", name, times[peer.name], "us"),
+                agreement(f"{group}: the same work", peer, exact),
+            ]
+    file.unlink()
+    return results
+
+
+def agreement(group: str, peer: Peer, exact: Ours) -> Result:
+    """Share of cells with the same class as in the peer's map."""
+    share = same_class(peer, exact.grid, SCRATCH)
+    name = f"cells with {PEERS[peer.name]}'s class (occupied, free, undecided), of those known to both"
+    return Result(group, name, 100.0 * share, "%")
