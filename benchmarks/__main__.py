@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.table import Result, as_text, keep
 
 ROOT = Path(__file__).parents[1]
-BENCHMARKS = ("integration", "services")
+BENCHMARKS = ("integration", "threads", "services")
 """Modules of this package, each with `run(quick: bool) -> list[Result]`."""
 
 

@@ -13,16 +13,18 @@ using mrpt::maps::COccupancyGridMap2D;
 using mrpt::obs::CObservation2DRangeScan;
 using mrpt::poses::CPose3D;
 
-// MRPT centres a scan on its sensor's x axis.
+// MRPT centres a scan on its sensor's x axis, and takes its aperture for N steps between N beams.
+static double aperture_of(const Header& with) { return with.beams * with.angle_increment; }
+
 static CPose3D pose_of(const Header& with, const Scan& scan) {
-  const double middle = with.angle_min + 0.5 * (with.beams - 1) * with.angle_increment;
+  const double middle = with.angle_min + 0.5 * aperture_of(with);
   return CPose3D(scan.x, scan.y, 0.0, scan.theta + middle, 0.0, 0.0);
 }
 
 // No ray is longer than `farthest`, and one that is as long marks no obstacle at its end.
 static CObservation2DRangeScan observation_of(const Header& with, const Scan& scan, double farthest) {
   CObservation2DRangeScan observation;
-  observation.aperture = static_cast<float>((with.beams - 1) * with.angle_increment);
+  observation.aperture = static_cast<float>(aperture_of(with));
   observation.rightToLeft = true;
   observation.maxRange = static_cast<float>(2.0 * with.range_max);
   observation.resizeScan(scan.ranges.size());

@@ -16,11 +16,16 @@ from ogm_core.errors import OgmError
 SOURCES = Path(__file__).parent
 FLAGS = ["-std=c++17", "-O3", "-march=native", "-ffp-contract=off"]
 """No fused multiply-add: it rounds otherwise than the map, and the textbook is to equal it bit for bit."""
-LIBRARIES = {
-    "textbook": [],
-    "mrpt": [f"-lmrpt-{part}" for part in ("maps", "obs", "poses", "math", "core", "rtti", "serialization")],
-    "octomap": ["-loctomap", "-loctomath"],
+PROGRAMS = {
+    "textbook": ["textbook.cpp"],
+    "textbook-sized": ["textbook.cpp", "-DSIZED"],
+    "mrpt": [
+        "mrpt.cpp",
+        *(f"-lmrpt-{part}" for part in ("maps", "obs", "poses", "math", "core", "rtti", "serialization")),
+    ],
+    "octomap": ["octomap.cpp", "-loctomap", "-loctomath"],
 }
+"""The source of every peer, and the compiler's arguments after it."""
 INCLUDES = {"mrpt": ["/usr/include/eigen3", "/usr/include/mrpt/*/include"]}
 """Folders of headers, as patterns, beside those that the compiler looks into anyway."""
 
@@ -38,13 +43,16 @@ def build(name: str, folder: Path) -> Path:
     compiler = shutil.which("g++")
     if compiler is None:
         raise NoPeer(f"{name}: there is no g++ to build it")
-    source, program = SOURCES / f"{name}.cpp", folder / name
-    newest = max(path.stat().st_mtime for path in (source, SOURCES / "workload.hpp", Path(__file__)))
+    source, *arguments = PROGRAMS[name]
+    program = folder / name
+    newest = max(
+        path.stat().st_mtime for path in (SOURCES / source, SOURCES / "workload.hpp", Path(__file__))
+    )
     if program.exists() and program.stat().st_mtime > newest:
         return program
     folder.mkdir(parents=True, exist_ok=True)
     includes = [f"-I{path}" for pattern in INCLUDES.get(name, []) for path in glob.glob(pattern)]  # noqa: PTH207
-    command = [compiler, *FLAGS, *includes, str(source), "-o", str(program), *LIBRARIES[name]]
+    command = [compiler, *FLAGS, *includes, str(SOURCES / source), *arguments, "-o", str(program)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         reasons = [line for line in done.stderr.splitlines() if "error" in line or "cannot find" in line]

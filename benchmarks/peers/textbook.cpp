@@ -1,6 +1,6 @@
 // The textbook's occupancy grid: float64 log odds in one dense array, and for every beam a list of the cells
-// on Bresenham's line to its end (Thrun, Burgard & Fox 2005, tables 4.2 and 9.1). Given the same scans it must
-// make the project's float64 map bit for bit, so it is compiled without fused multiply-add.
+// on Bresenham's line to its end (Thrun, Burgard & Fox 2005, tables 4.2 and 9.1). Given the same scans it
+// must make the project's float64 map bit for bit, so it is compiled without fused multiply-add.
 #include <algorithm>
 
 #include "workload.hpp"
@@ -30,8 +30,7 @@ static std::vector<Cell> line(Cell from, Cell to) {
   const int di = std::abs(to.i - from.i), dj = std::abs(to.j - from.j);
   const int si = to.i > from.i ? 1 : -1, sj = to.j > from.j ? 1 : -1;
   int err = di - dj;
-  std::vector<Cell> cells(std::max(di, dj));
-  for (Cell& cell : cells) {
+  const auto step = [&] {
     const int e2 = 2 * err;
     if (e2 > -dj) {
       err -= dj;
@@ -41,8 +40,16 @@ static std::vector<Cell> line(Cell from, Cell to) {
       err += di;
       from.j += sj;
     }
-    cell = from;
-  }
+    return from;
+  };
+#ifdef SIZED
+  // A list of the right size from the start: compilers make much better code of it.
+  std::vector<Cell> cells(std::max(di, dj));
+  for (Cell& cell : cells) cell = step();
+#else
+  std::vector<Cell> cells;
+  while (from.i != to.i || from.j != to.j) cells.push_back(step());
+#endif
   return cells;
 }
 
