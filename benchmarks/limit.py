@@ -33,15 +33,15 @@ class Limit:
         """Find the spans of the scans, by mapping each one alone."""
         self._scans = work.scans[::every]
         self._settings = settings_of(work, sensor="sector")
-        spans = [self._spans_of(placed) for placed in self._scans]
+        spans = [self.spans_of(placed) for placed in self._scans]
         width = max(int(end.max()) for _, _, end in spans)
         stride = width + 24 if width % BLOCK == 0 else width
         rows = CACHE // (2 * stride)
-        self._blocks = []
+        self.blocks = []
         for row, first, end in spans:
             address = row % rows * stride
             blocks = (address + first) // BLOCK, (address + end - 1) // BLOCK + 1
-            self._blocks.append(np.stack(blocks).astype(np.uint64))
+            self.blocks.append(np.stack(blocks).astype(np.uint64))
         self._cells = np.zeros(rows * stride + BLOCK, np.uint16)
         first_scan = self._scans[0].scan
         borders = np.arange(first_scan.ranges.size + 1) - 0.5
@@ -59,10 +59,10 @@ class Limit:
         edge_ends(
             scan.ranges, self._directions, pose.theta, self._settings.resolution, self._settings.alpha / 2.0
         )
-        fill(self._cells, self._blocks[n], np.uint16(DECREMENT))
+        fill(self._cells, self.blocks[n], np.uint16(DECREMENT))
         return time.thread_time() - begin
 
-    def _spans_of(self, placed: PlacedScan) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    def spans_of(self, placed: PlacedScan) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Row, first column and column after the last of every run of free, or of occupied, cells."""
         grid = OccupancyGrid(self._settings)
         grid.integrate(placed.scan, placed.pose)

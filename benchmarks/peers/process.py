@@ -93,7 +93,8 @@ class Peer:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            raise NoPeer(f"{self.name}: it ended with code {self._process.wait()}")
+            self._process.communicate()
+            raise NoPeer(f"{self.name}: it ended with code {self._process.returncode}")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -103,4 +104,5 @@ class Peer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._process.communicate("quit\n")
+        if self._process.returncode is None:
+            self._process.communicate("quit\n")
