@@ -14,6 +14,10 @@ from ogm_core.lattice import MAX_INDEX
 
 SKIPPED, NO_RETURN, HIT = 0, 1, 2
 """Kinds of beam: no evidence; saw nothing up to its free length; ended on something."""
+_CLOSE = 4
+"""Added to the kind of a beam that ends too close to a cell's edge for quick arithmetic."""
+_USEFUL = 1e-3
+"""Quick arithmetic pays as long as few beams end so close to an edge, cells."""
 
 
 class BeamModel(NamedTuple):
@@ -31,6 +35,14 @@ class BeamModel(NamedTuple):
     reach: float
 
 
+class Cells(NamedTuple):
+    """A lattice as the kernels know it: its anchor and resolution, m."""
+
+    anchor_x: float
+    anchor_y: float
+    resolution: float
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def classify(r: float, beam: BeamModel) -> tuple[int, float]:
     """Kind of a beam that measured `r`, and the distance of its end point from the sensor, m."""
@@ -45,37 +57,52 @@ def classify(r: float, beam: BeamModel) -> tuple[int, float]:
     return HIT, r
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _end_of(
+    k: int, length: float, x: float, y: float, theta: float, beam: BeamModel, lattice: Cells
+) -> tuple[bool, float, float]:
+    """Whether the end point of beam `k` can be addressed, and where it lies, in cells from the anchor.
+
+    The arithmetic is that of `Lattice.cell_of`, in the same order: the floor of this is the end cell.
+    """
+    bearing = theta + (beam.angle_min + k * beam.angle_increment)
+    if not math.isfinite(bearing):
+        return False, 0.0, 0.0
+    u = (x + length * math.cos(bearing) - lattice.anchor_x) / lattice.resolution
+    v = (y + length * math.sin(bearing) - lattice.anchor_y) / lattice.resolution
+    return abs(u) < MAX_INDEX and abs(v) < MAX_INDEX, u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _addressed(x: float, y: float, lattice: Cells) -> bool:
+    """Whether a point, m, lies in a cell that can be addressed."""
+    u, v = (x - lattice.anchor_x) / lattice.resolution, (y - lattice.anchor_y) / lattice.resolution
+    return abs(u) < MAX_INDEX and abs(v) < MAX_INDEX
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def project(
-    ranges: NDArray[np.float32],
-    beam: BeamModel,
-    sensor: NDArray[np.float64],
-    anchor_x: float,
-    anchor_y: float,
-    resolution: float,
-    exact: bool,
+    ranges: NDArray[np.float32], beam: BeamModel, sensor: NDArray[np.float64], lattice: Cells, exact: bool
 ) -> tuple[bool, NDArray[np.int64], NDArray[np.float64]]:
     """Project every beam of a scan onto a lattice; the rows are those of ogm_core.projection.Beams.
 
     `sensor` holds the sensor's poses in the map frame: shape (1, 3), or (N, 3) with one a beam. Returns
-    whether every end cell can be addressed, the beams' cells, and their lines if they are to be `exact`. A
-    skipped beam's end cell is (0, 0). The arithmetic is that of `Lattice.cell_of`, in the same order.
+    whether the sensor and every end cell can be addressed, the beams' cells, and their lines if they are to be `exact`. A
+    skipped beam's end cell is (0, 0).
     """
     cells = np.zeros((5, ranges.size), np.int64)
     lines = np.zeros((4, ranges.size if exact else 0))
+    if not _addressed(sensor[0, 0], sensor[0, 1], lattice):
+        return False, cells, lines
     for k in range(ranges.size):
         kind, length = classify(float(ranges[k]), beam)
         if kind == SKIPPED:
             continue
         p = k if len(sensor) > 1 else 0
-        x, y = sensor[p, 0], sensor[p, 1]
-        bearing = sensor[p, 2] + (beam.angle_min + k * beam.angle_increment)
-        if not math.isfinite(bearing):
-            return False, cells, lines
-        u0, v0 = (x - anchor_x) / resolution, (y - anchor_y) / resolution
-        u = (x + length * math.cos(bearing) - anchor_x) / resolution
-        v = (y + length * math.sin(bearing) - anchor_y) / resolution
-        if not (max(abs(u), abs(v)) < MAX_INDEX and max(abs(u0), abs(v0)) < MAX_INDEX):
+        u0 = (sensor[p, 0] - lattice.anchor_x) / lattice.resolution
+        v0 = (sensor[p, 1] - lattice.anchor_y) / lattice.resolution
+        addressed, u, v = _end_of(k, length, sensor[p, 0], sensor[p, 1], sensor[p, 2], beam, lattice)
+        if not (addressed and abs(u0) < MAX_INDEX and abs(v0) < MAX_INDEX):
             return False, cells, lines
         cells[0, k], cells[1, k] = math.floor(u), math.floor(v)
         cells[2, k] = kind
@@ -85,6 +112,79 @@ def project(
             lines[1, k] = math.floor(v0) + 1 - v0 if v > v0 else v0 - math.floor(v0)
             lines[2, k], lines[3, k] = u - u0, v - v0
     return True, cells, lines
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def project_turned(
+    ranges: NDArray[np.float32],
+    beam: BeamModel,
+    sensor: NDArray[np.float64],
+    lattice: Cells,
+    exact: bool,
+    directions: NDArray[np.float64],
+) -> tuple[bool, NDArray[np.int64], NDArray[np.float64]]:
+    """The same as `project`, cell for cell, of a sensor that stood still: many times faster.
+
+    `directions`, shape (2, N), are cosine and sine of the beams' bearings in the sensor's frame. Turned by
+    the heading they give the end points up to rounding, with simple arithmetic on many beams at once. How far
+    rounding can move a point is known; where that could reach another cell, `_end_of` decides.
+    """
+    n = ranges.size
+    x, y, theta = sensor[0, 0], sensor[0, 1], sensor[0, 2]
+    u0, v0 = (x - lattice.anchor_x) / lattice.resolution, (y - lattice.anchor_y) / lattice.resolution
+    farthest = min(beam.range_max, beam.clear_range, beam.reach)
+    slack = _rounding(n, abs(x) + abs(y), theta, beam, lattice)
+    if not slack < _USEFUL:
+        return project(ranges, beam, sensor, lattice, exact)
+    i0, j0 = math.floor(u0), math.floor(v0)
+    fu, fv = u0 - i0, v0 - j0
+    c, s = math.cos(theta) / lattice.resolution, math.sin(theta) / lattice.resolution
+    saw_nothing = beam.range_max - beam.alpha / 2
+    cells = np.empty((5, n), np.int64)
+    lines = np.empty((4, n if exact else 0))
+    close_calls = 0
+    for k in range(n):
+        r = np.float64(ranges[k])
+        counts = (r > 0.0) & (r >= beam.range_min)
+        hit = counts & (r < saw_nothing) & (r <= beam.reach)
+        length = min(r, beam.reach) if r < saw_nothing else min(r, farthest)
+        length = length if counts else 0.0
+        u = fu + length * (c * directions[0, k] - s * directions[1, k])
+        v = fv + length * (s * directions[0, k] + c * directions[1, k])
+        iu, iv = np.floor(u), np.floor(v)
+        edge = min(min(u - iu, iu + 1.0 - u), min(v - iv, iv + 1.0 - v))
+        close = counts & (edge < slack)
+        close_calls += int(close)
+        cells[0, k] = i0 + np.int32(iu) if counts else 0
+        cells[1, k] = j0 + np.int32(iv) if counts else 0
+        cells[2, k] = int(counts) + int(hit) + (_CLOSE if close else 0)
+        cells[3, k] = i0 if counts else 0
+        cells[4, k] = j0 if counts else 0
+        if exact:
+            lines[0, k] = 1.0 - fu if u > fu else fu
+            lines[1, k] = 1.0 - fv if v > fv else fv
+            lines[2, k] = u - fu
+            lines[3, k] = v - fv
+    if close_calls:
+        for k in range(n):
+            if cells[2, k] & _CLOSE:
+                kind, length = classify(float(ranges[k]), beam)
+                _, u, v = _end_of(k, length, x, y, theta, beam, lattice)
+                cells[0, k], cells[1, k], cells[2, k] = math.floor(u), math.floor(v), kind
+    return True, cells, lines
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Cells) -> float:
+    """By how many cells rounding moves an end point at most, in `project` and `project_turned` together.
+
+    A sum of angles or coordinates is off by its largest part times 2^-53; there are fewer than 16 such steps.
+    `away` is how far the sensor is from the frame's origin, m.
+    """
+    longest = min(beam.range_max, beam.reach)
+    turned = abs(theta) + abs(beam.angle_min) + n * abs(beam.angle_increment)
+    span = away + max(abs(lattice.anchor_x), abs(lattice.anchor_y)) + longest
+    return (longest * (turned + 1.0) + span) / lattice.resolution * 2.0**-49
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

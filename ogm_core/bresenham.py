@@ -22,19 +22,32 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED
-from ogm_core.cell_updates import TILE_BITS, add_free, add_occupied
+from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
+from ogm_core.strips import TILE, TILE_BITS
 
 FRACTION_BITS = 42
+_ONE = 2.0**FRACTION_BITS
+_HALF = _ONE / 2.0
+_LONGEST_PIECE = 4000
+"""Rows that are walked in one go: addresses in fixed point stay below 2^63."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def fixed_point(major: int, minor: int) -> tuple[int, int]:
-    """Bias acc(0) and step of the fixed-point minor coordinate of a line; major >= 1."""
-    bias = ((major - 1) << (FRACTION_BITS - 1)) // major
-    step = ((minor << FRACTION_BITS) + major - 1) // major
-    return bias, step
+    """Bias acc(0) and step of the fixed-point minor coordinate of a line; major >= 1.
+
+    Float64 quotients are right to 2^-9, so one step up or down makes them exact: much cheaper than to divide
+    64-bit integers.
+    """
+    inverse = 1.0 / major
+    bias = int((major - 1) * inverse * _HALF)
+    rest = ((major - 1) << (FRACTION_BITS - 1)) - bias * major
+    bias += int(rest >= major) - int(rest < 0)
+    step = int(minor * inverse * _ONE)
+    rest = (minor << FRACTION_BITS) - step * major
+    return bias, step + int(rest > 0) + int(rest > major) - int(rest <= -major)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -99,6 +112,16 @@ def clipped_line(
     return di >= dj, si, sj, major, bias, step, first, last
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def signed(bias: int, step: int, sign: int) -> tuple[int, int]:
+    """Bias and step whose integer part counts along `sign`: floor of (b + k s) is sign * s(k).
+
+    For sign -1 these are -1 - bias and -step, because floor((-1 - a) / 2^42) = -floor(a / 2^42) - 1; the
+    fraction wants one whole more.
+    """
+    return (bias, step) if sign > 0 else ((1 << FRACTION_BITS) - 1 - bias, -step)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
@@ -113,7 +136,7 @@ def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
         major, minor = max(abs(di), abs(dj)), min(abs(di), abs(dj))
         if beams[2, k] == SKIPPED or major == 0:
             continue
-        aside = (2 * minor + major - 1) // (2 * major)
+        aside = int(2 * minor > major)  # s(1) = floor((2 m + M - 1) / (2 M))
         ahead_i, ahead_j = (1, aside) if abs(di) >= abs(dj) else (aside, 1)
         first_i = i0 + (ahead_i if di > 0 else -ahead_i)
         first_j = j0 + (ahead_j if dj > 0 else -ahead_j)
@@ -137,27 +160,53 @@ def touch_tiles(
 
     Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Between two
     tile edges of its major axis a line meets at most two tiles: those of the piece's first and last cell.
+
+    A scan's beams fan out from one cell, and most of them meet the very tiles of the one before: those of
+    the same octant and the same last tile whose slope lies between `flattest` and `steepest`, which are as
+    far as the line of the last marked beam can turn before one of those cells changes its tile.
     """
     fresh = 0
+    marked = 0, 0, 0, 0, 0
+    flattest, steepest = 1.0, 0.0
     for b in range(beams.shape[1]):
         if beams[2, b] == SKIPPED:
             continue
         i0, j0, i1, j1 = counted_from(window, beams, b)
-        along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
+        along_i, si, sj, major, bias, step, k, last = clipped_line(
+            i0, j0, i1, j1, window.width, window.height
+        )
+        slope = step / _ONE
+        this = i0, j0, i1 >> TILE_BITS, j1 >> TILE_BITS, 4 * int(along_i) + 2 * int(si > 0) + int(sj > 0)
+        if flattest < slope < steepest and this == marked and last == major:
+            continue
+        flattest, steepest = (0.0, 1.0) if k == 1 and last == major else (1.0, 0.0)
+        marked = this
+        start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
-            along, sign = (i0 + si * k, si) if along_i else (j0 + sj * k, sj)
-            left = 63 - (along & 63) if sign > 0 else along & 63
-            end = min(k + left, last)
-            for q in (k, end):
-                aside = (bias + q * step) >> FRACTION_BITS
-                i = i0 + si * (q if along_i else aside)
-                j = j0 + sj * (aside if along_i else q)
-                tile = i >> TILE_BITS, j >> TILE_BITS
-                if touched[tile] == 0:
-                    fresh += 1
+            along = start + sign * k
+            end = min(k + (63 - (along & 63) if sign > 0 else along & 63), last)
+            for at in (k, end):
+                s = (bias + at * step) >> FRACTION_BITS
+                minor = aside + sign_aside * s
+                tile = (along >> TILE_BITS, minor >> TILE_BITS)
+                if not along_i:
+                    tile = (minor >> TILE_BITS, along >> TILE_BITS)
+                fresh += int(touched[tile] == 0)
                 touched[tile] = revision
+                into = minor & 63 if sign_aside > 0 else 63 - (minor & 63)
+                if s > into:
+                    flattest = max(flattest, (s - into - 0.4) / at)
+                steepest = min(steepest, (s - into + 63.4) / at)
             k = end + 1
     return fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def last_in_strip(k: int, last: int, left: int, bias: int, step: int) -> int:
+    """Last step, up to `last`, whose minor coordinate is at most `left` cells beyond that of step `k`."""
+    last = min(last, k + _LONGEST_PIECE)
+    beyond = (((bias + k * step) >> FRACTION_BITS) + left + 1) << FRACTION_BITS
+    return last if bias + last * step < beyond else (beyond - 1 - bias) // step
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -171,7 +220,9 @@ def update_cells(
     """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
 
     Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
-    never updated. Unsigned addresses spare numba's check for negative indices.
+    never updated. Unsigned addresses spare numba's check for negative indices, and signs are part of the
+    numbers that are added. Where j is the major axis a line is cut at the edges of the strips: within a strip
+    the address of its cells is a fixed-point number itself, and one addition a cell is enough.
     """
     updates = 0
     for b in range(beams.shape[1]):
@@ -185,23 +236,38 @@ def update_cells(
             continue
         updates += last - first + 1
         hit_inside = beams[2, b] == HIT and last == major
-        acc = bias + (first - 1) * step
-        free_steps = last - first + (0 if hit_inside else 1)
+        last_free = last - int(hit_inside)
         if along_i:
-            i = i0 + si * (first - 1)
-            for _ in range(free_steps):
-                acc += step
-                i += si
-                address = np.uint64(column[np.uint64(i)] + ((j0 + sj * (acc >> FRACTION_BITS)) << TILE_BITS))
-                cells[address] = add_free(cells[address], update)
+            acc, gain = signed(bias, step, sj)
+            acc += (first - 1) * gain
+            k = first
+            while k <= last_free:
+                i = i0 + si * k
+                left = TILE - 1 - (i & (TILE - 1)) if si > 0 else i & (TILE - 1)
+                end = min(k + left, last_free)
+                base = column[np.uint64(i)] + (j0 << TILE_BITS) - si
+                for _ in range(end - k + 1):
+                    acc += gain
+                    base += si
+                    address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
+                    cells[address] = add_free(cells[address], update)
+                k = end + 1
         else:
-            row = (j0 + sj * (first - 1)) << TILE_BITS
-            row_step = sj << TILE_BITS
-            for _ in range(free_steps):
-                acc += step
-                row += row_step
-                address = np.uint64(column[np.uint64(i0 + si * (acc >> FRACTION_BITS))] + row)
-                cells[address] = add_free(cells[address], update)
+            origin, turn = signed(bias, step, si)
+            gain = turn + (sj << (TILE_BITS + FRACTION_BITS))
+            k = first
+            while k <= last_free:
+                s = (origin + k * turn) >> FRACTION_BITS
+                i = i0 + s
+                left = TILE - 1 - (i & (TILE - 1)) if si > 0 else i & (TILE - 1)
+                end = last_in_strip(k, last_free, left, bias, step)
+                acc = origin + (k - 1) * turn
+                base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)
+                for _ in range(end - k + 1):
+                    acc += gain
+                    address = np.uint64(base + (acc >> FRACTION_BITS))
+                    cells[address] = add_free(cells[address], update)
+                k = end + 1
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
             cells[address] = add_occupied(cells[address], update)

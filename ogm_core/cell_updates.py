@@ -12,12 +12,10 @@ from numba.extending import overload
 
 from ogm_core.logodds import Update
 
-TILE_BITS = 6
-"""Tiles are 2^6 = 64 cells wide and high."""
-
 
 def _free_int16(cell: Any, update: Any) -> Any:  # noqa: ANN401 - one form a storage type
-    return (max(cell, update.lower - update.free) + update.free) | 1
+    # No known bit: a cell that was never updated becomes negative, and stays so till a hit sets the bit.
+    return max(cell, update.lower - update.free) + update.free
 
 
 def _occupied_int16(cell: Any, update: Any) -> Any:  # noqa: ANN401

@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED
 from ogm_core.bresenham import counted_from
-from ogm_core.cell_updates import TILE_BITS, add_free, add_occupied
+from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
+from ogm_core.strips import TILE_BITS
 
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""

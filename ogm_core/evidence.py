@@ -40,20 +40,19 @@ class Evidence:
         ix, iy, width, height = self.kernels.extent(*self.arrays)
         return CellRect(ix + self.base[0], iy + self.base[1], width, height)
 
-    def touch_tiles(self, store: StripStore, inside: CellRect, touched: NDArray[Any], revision: int) -> int:
-        """Write `revision` into every tile with an updated cell in `inside`; count those that held 0."""
-        return int(self.kernels.touch_tiles(*self.arrays, self._window(store, inside), touched, revision))
-
-    def update_cells(self, store: StripStore, inside: CellRect, update: Update) -> int:
-        """Update the cells that lie in `inside`; return the number of cell updates."""
-        window = self._window(store, inside)
-        return int(self.kernels.update_cells(*self.arrays, window, store.cells, store.column, update))
-
-    def _window(self, store: StripStore, inside: CellRect) -> CellRect:
+    def window(self, store: StripStore, inside: CellRect) -> CellRect:
         """`inside`, which shares the store's lower-left corner, as the kernels count."""
         return CellRect(
             store.rect.ix - self.base[0], store.rect.iy - self.base[1], inside.width, inside.height
         )
+
+    def touch_tiles(self, touched: NDArray[np.int64], window: CellRect, revision: int) -> int:
+        """Write `revision` into every tile with an updated cell in the window; count those that held 0."""
+        return int(self.kernels.touch_tiles(*self.arrays, window, touched, revision))
+
+    def update_cells(self, store: StripStore, window: CellRect, update: Update) -> int:
+        """Update the cells that lie in the window; return the number of cell updates."""
+        return int(self.kernels.update_cells(*self.arrays, window, store.cells, store.column, update))
 
 
 def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:

@@ -8,7 +8,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Cells
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.strips import StripStore
+from ogm_core.strips import StripStore, tiles_met
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 
@@ -112,23 +112,24 @@ class OccupancyGrid:
             raise LimitReached(f"{known.width} x {known.height} cells would be more than max_cells")
         store = self._store
         if not store.rect.contains(updated):
-            store = store.grown(updated)
+            store = store.grown(updated, self.settings.max_bytes)
         inside = self.bounds or store.rect
         self._check_bytes(store, updated, evidence)
         if store is not self._store:
             store.take(self._store)
             self._store = store
-        store.tiles_used += evidence.touch_tiles(store, inside, store.touched, self.revision + 1)
-        updates = evidence.update_cells(store, inside, self.model.update)
+        window = evidence.window(store, inside)
+        store.tiles_used += evidence.touch_tiles(store.touched, window, self.revision + 1)
+        updates = evidence.update_cells(store, window, self.model.update)
         self._known = known
         return updates
 
     def _check_bytes(self, store: StripStore, updated: CellRect, evidence: Evidence) -> None:
         """Refuse a scan whose tiles would exceed `max_bytes`: first by a cheap bound, then exactly."""
         room = (self.settings.max_bytes - store.nbytes) // store.tile_bytes
-        if store.untouched_tiles(updated) <= room:
+        if tiles_met(updated) <= room or store.untouched_tiles(updated) <= room:
             return
-        inside = self.bounds or store.rect
-        fresh = evidence.touch_tiles(store, inside, store.touched.copy(), self.revision + 1)
+        window = evidence.window(store, self.bounds or store.rect)
+        fresh = evidence.touch_tiles(store.touched.copy(), window, self.revision + 1)
         if fresh > room:
             raise LimitReached(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")

@@ -53,7 +53,12 @@ class CellRect(NamedTuple):
 
     def contains(self, other: "CellRect") -> bool:
         """Whether every cell of `other` lies in this rectangle."""
-        return self.union(other) == self
+        return (
+            self.ix <= other.ix
+            and self.iy <= other.iy
+            and other.ix + other.width <= self.ix + self.width
+            and other.iy + other.height <= self.iy + self.height
+        )
 
 
 class Region(NamedTuple):

@@ -6,8 +6,8 @@ traversal, serving) knows a cell only through its model: its dtype, its update, 
 
 Two storage forms, both with a stored 0 for "never updated", so that untouched memory is an unknown map:
 
-- int16: l - l0 in steps of max(l_max - l0, l0 - l_min) / 16383, times two, plus a known bit: a cell that is
-  brought back to the prior stays known.
+- int16: l - l0 in steps of max(l_max - l0, l0 - l_min) / 16383, times two, plus a bit that every hit sets: a
+  cell that is brought back to the prior holds 1 and stays known. Without a hit cells only become negative.
 - float64: l itself. A known l of exactly zero is stored as -0.0, which adds and compares like 0.0; all bits
   zero (+0.0) is unknown.
 """

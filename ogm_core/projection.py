@@ -1,13 +1,14 @@
 """A scan at its sensor's pose, projected onto a map's lattice: the kernels of ogm_core.beams, by name."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core import beams
-from ogm_core.errors import BadParameter, LimitReached
+from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
 from ogm_core.types import PlacedScan, Ranges, Scan
@@ -44,32 +45,40 @@ def sensor_poses(placed: PlacedScan) -> NDArray[np.float64]:
     return np.array([placed.pose], np.float64) if placed.sweep is None else placed.sweep.beams
 
 
+@lru_cache(maxsize=16)
+def directions(angle_min: float, angle_increment: float, count: int) -> NDArray[np.float64]:
+    """Cosine and sine of every beam's bearing in the sensor's frame, shape (2, count), read-only."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a bearing that is not finite has neither
+        bearings = angle_min + np.arange(count) * angle_increment
+        found = np.stack((np.cos(bearings), np.sin(bearings)))
+    found.flags.writeable = False
+    return found
+
+
 def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exact: bool = False) -> Beams:
     """Project a placed scan onto a lattice; with its lines if they are to be `exact`.
 
     Raises:
         LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
     """
-    try:
-        lattice.cell_of(placed.pose.x, placed.pose.y)
-    except BadParameter as error:
-        raise LimitReached(f"the sensor is out of reach: {error}") from error
-    addressed, cells, lines = beams.project(
-        read_only(placed.scan.ranges),
-        beam_model(placed.scan, settings),
-        sensor_poses(placed),
-        float(lattice.anchor[0]),
-        float(lattice.anchor[1]),
-        float(lattice.resolution),
-        exact,
-    )
+    ranges, model = read_only(placed.scan.ranges), beam_model(placed.scan, settings)
+    onto = beams.Cells(float(lattice.anchor[0]), float(lattice.anchor[1]), float(lattice.resolution))
+    sensor = sensor_poses(placed)
+    if placed.sweep is None:
+        turned = directions(model.angle_min, model.angle_increment, ranges.size)
+        addressed, cells, lines = beams.project_turned(ranges, model, sensor, onto, exact, turned)
+    else:
+        addressed, cells, lines = beams.project(ranges, model, sensor, onto, exact)
     if not addressed:
-        raise LimitReached("a beam ends farther away than cells can be addressed")
+        raise LimitReached("the sensor or a beam's end is farther away than cells can be addressed")
     return Beams(cells, lines)
 
 
 def read_only(ranges: Ranges) -> Ranges:
     """The same ranges in the one form that the kernels are compiled for."""
+    flags = ranges.flags
+    if ranges.dtype == np.float32 and flags.c_contiguous and flags.aligned and not flags.writeable:
+        return ranges
     view = np.require(ranges, np.float32, ["C", "A"]).view()
     view.flags.writeable = False
     return view

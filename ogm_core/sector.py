@@ -26,9 +26,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cell_updates import TILE_BITS, add_free, add_occupied
+from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
+from ogm_core.strips import TILE_BITS
 
 FREE, OCCUPIED = 1, 2
 """Classes of a span; also the bits of the outlines that a row is inside of: inner, outer."""

@@ -11,6 +11,7 @@ The memory is a private anonymous mapping: the system gives zeroed pages when th
 stored 0 ("never updated", see ogm_core.logodds) costs nothing until a beam comes by.
 """
 
+import contextlib
 import mmap
 from typing import Any
 
@@ -20,8 +21,13 @@ from numpy.typing import NDArray
 from ogm_core.errors import LimitReached
 from ogm_core.lattice import CellRect
 
-TILE = 64
+TILE_BITS = 6
+TILE = 1 << TILE_BITS
+"""Tiles are 64 cells wide and high."""
 _TILE_CELLS = TILE * TILE
+_FIRST_ROOM = 4096
+"""Cells on every side of a map's first ones: most maps never have to be moved."""
+_SMALL_PART = 100
 
 
 class StripStore:
@@ -55,13 +61,25 @@ class StripStore:
         """Memory of the tiles that were ever written, and of the tables."""
         return self.tiles_used * self.tile_bytes + self.column.nbytes + self.touched.nbytes
 
-    def grown(self, rect: CellRect) -> "StripStore":
+    def grown(self, rect: CellRect, max_bytes: int = 0) -> "StripStore":
         """A store that also covers `rect`, with room to spare where it grew; its cells follow by `take`.
+
+        The first cells get much room around, unless its tables would be much of `max_bytes`: room for cells
+        costs addresses, not memory.
 
         Room in proportion to the size keeps the sum of all copies linear in the final size. What it will hold
         is known before anything is copied.
         """
         if not self.rect.cells:
+            roomy = CellRect(
+                rect.ix - _FIRST_ROOM,
+                rect.iy - _FIRST_ROOM,
+                rect.width + 2 * _FIRST_ROOM,
+                rect.height + 2 * _FIRST_ROOM,
+            )
+            if _table_bytes(roomy) * _SMALL_PART < max_bytes:
+                with contextlib.suppress(LimitReached):  # no address space for that much
+                    return StripStore(roomy, self.cells.dtype)
             return StripStore(rect, self.cells.dtype)
         west = self.rect.width // 2 if rect.ix < self.rect.ix else 0
         south = self.rect.height // 2 if rect.iy < self.rect.iy else 0
@@ -138,6 +156,16 @@ class StripStore:
             rows = strips[s, bottom : bottom + rect.height]
             dense[:, first - left : last - left] = rows[:, first - s * TILE : last - s * TILE]
         return dense
+
+
+def tiles_met(rect: CellRect) -> int:
+    """How many tiles a rectangle may meet, wherever it lies on their lattice."""
+    return (rect.width // TILE + 2) * (rect.height // TILE + 2)
+
+
+def _table_bytes(rect: CellRect) -> int:
+    """About the memory of a store's tables, eight bytes a column and a tile."""
+    return 8 * (rect.width + tiles_met(rect))
 
 
 def _untouched(size: int) -> mmap.mmap:

@@ -12,7 +12,7 @@ from ogm_core.beams import HIT, NO_RETURN, SKIPPED
 from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.projection import project
+from ogm_core.projection import beam_model, directions, project, read_only
 from ogm_core.types import PlacedScan, Pose, Scan
 
 NAN, INF = math.nan, math.inf
@@ -210,3 +210,26 @@ def test_false_hits_near_range_max_fall_as_the_thickness_grows_over_the_noise():
     assert shares == sorted(shares, reverse=True)
     assert shares[0] > 0.49
     assert shares[-1] < 0.003
+
+
+@pytest.mark.parametrize("theta", [0.0, math.pi / 2, -math.pi, 0.3, 40.0, 1e5, 1e12, 1e300])
+@pytest.mark.parametrize("anchor", [(0.0, 0.0), (-3.7, 12.1), (4e5, -5e6)])
+def test_turned_directions_give_the_very_cells_of_the_sum_of_angles(theta, anchor):
+    # Sensors and end points on cells' edges and corners, where rounding decides which cell it is.
+    rng = np.random.default_rng(7)
+    settings = GridSettings(alpha=0.2, clear_range=5.0, reach=7.0)
+    for resolution in (0.05, 0.25, 0.07):
+        lattice = beams.Cells(*anchor, resolution)
+        for increment in (math.pi / 180, -math.pi / 2, 0.01):
+            ranges = (rng.integers(-2, 200, 300) * resolution).astype(np.float32)
+            ranges[::40] = np.inf
+            scan = scan_of(ranges, angle_min=-math.pi / 2, angle_increment=increment)
+            x, y = anchor + resolution * rng.integers(-50, 50, 2)
+            model, sensor = beam_model(scan, settings), np.array([[x, y, theta]])
+            wanted = beams.project(read_only(ranges), model, sensor, lattice, True)
+            turned = directions(model.angle_min, model.angle_increment, ranges.size)
+            found = beams.project_turned(read_only(ranges), model, sensor, lattice, True, turned)
+            assert np.array_equal(found[1], wanted[1])
+            assert found[0]
+            counts = wanted[1][2] != SKIPPED
+            assert np.allclose(found[2][2:, counts], wanted[2][2:, counts], rtol=0, atol=1e-6)

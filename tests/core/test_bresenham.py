@@ -181,6 +181,24 @@ def test_touched_tiles_are_those_of_the_cells(low, high):
         assert fresh == len(tiles)
 
 
+def test_touched_tiles_of_fans_are_those_of_the_cells():
+    # Neighbours in a fan mostly meet the same tiles, and are then not looked at again.
+    rng = np.random.default_rng(8)
+    for size in (20, 90, 300):
+        for _ in range(6):
+            start = rng.integers(300, 700, 2).tolist()
+            bearings = np.sort(rng.uniform(0, 2 * np.pi, 400))
+            lengths = size + rng.choice([0, 1, 250], 400, p=[0.5, 0.4, 0.1])
+            ends = start + np.rint(lengths[:, None] * np.stack((np.cos(bearings), np.sin(bearings)), 1))
+            ends = [tuple(map(int, end)) for end in ends]
+            tiles = {(i // 64, j // 64) for end in ends for i, j in path(start, end)}
+            tiles = {(i, j) for i, j in tiles if i < 14 and j < 12}
+            touched = np.zeros((14, 12), np.int64)
+            fresh = bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, 896, 768), touched, 3)
+            assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
+            assert fresh == len(tiles)
+
+
 def test_a_tile_is_fresh_once():
     touched = np.zeros((3, 1), np.int64)
     window = CellRect(0, 0, 192, 64)

@@ -182,7 +182,7 @@ def test_int16_uses_its_whole_range():
     grid, _ = hammered(LogOdds("int16"), 30, 30)
     cells = grid.snapshot().cells
     assert cells.dtype == np.int16
-    assert (cells.max(), cells.min()) == (32767, -32765)
+    assert (cells.max(), cells.min()) == (32767, -32766)
 
 
 @BOTH

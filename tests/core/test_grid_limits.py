@@ -149,7 +149,7 @@ def test_max_cells_refuses_before_anything_is_allocated():
 
 def test_max_bytes_counts_tiles_exactly():
     # Beams that leave a corner of the scan's rectangle free: 7 x 7 tiles in it, 13 of them touched.
-    grid = grid_of()
+    grid = grid_of(max_bytes=10**6)  # too few bytes for room around the first cells
     cross = scan_of([40.0, 40.0], angle_increment=math.pi / 2)
     grid.integrate(cross, ORIGIN)
     needed = grid.nbytes
@@ -163,7 +163,7 @@ def test_max_bytes_counts_tiles_exactly():
 
 def test_max_bytes_counts_the_tiles_of_a_straight_beam_exactly():
     beam = scan_of([40.0])
-    grid = grid_of()
+    grid = grid_of(max_bytes=10**6)
     grid.integrate(beam, ORIGIN)
     assert grid.nbytes == 7 * TILE_BYTES + table_bytes(CellRect(0, 0, 448, 64))
     refuses(grid_of(max_bytes=grid.nbytes - 1), beam, ORIGIN)

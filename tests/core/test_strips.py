@@ -220,3 +220,12 @@ def test_a_cell_of_minus_zero_is_written():
     store.write(CellRect(3, 4, 2, 2), dense)
     assert store.tiles_used == 1
     assert np.signbit(store.read(CellRect(3, 4, 2, 2))).tolist() == [[False, False], [True, False]]
+
+
+def test_the_first_cells_get_room_around_where_its_tables_are_a_small_part_of_the_memory():
+    first = CellRect(5000, -5000, 10, 10)
+    store = StripStore(NOWHERE, INT16).grown(first, max_bytes=2**31)
+    for beyond in (CellRect(904, -9096, 1, 1), CellRect(9105, -895, 1, 1)):
+        assert store.rect.contains(beyond)
+    assert store.nbytes < 2**31 / 100
+    assert StripStore(NOWHERE, INT16).grown(first, max_bytes=10**6).rect == CellRect(4992, -5056, 64, 128)
