@@ -87,8 +87,8 @@ def project(
     """Project every beam of a scan onto a lattice; the rows are those of ogm_core.projection.Beams.
 
     `sensor` holds the sensor's poses in the map frame: shape (1, 3), or (N, 3) with one a beam. Returns
-    whether the sensor and every end cell can be addressed, the beams' cells, and their lines if they are to be `exact`. A
-    skipped beam's end cell is (0, 0).
+    whether the sensor and every end cell can be addressed, the beams' cells, and their lines if they are to
+    be `exact`. A skipped beam's end cell is (0, 0).
     """
     cells = np.zeros((5, ranges.size), np.int64)
     lines = np.zeros((4, ranges.size if exact else 0))

@@ -192,7 +192,7 @@ def test_touched_tiles_of_fans_are_those_of_the_cells():
             ends = start + np.rint(lengths[:, None] * np.stack((np.cos(bearings), np.sin(bearings)), 1))
             ends = [tuple(map(int, end)) for end in ends]
             tiles = {(i // 64, j // 64) for end in ends for i, j in path(start, end)}
-            tiles = {(i, j) for i, j in tiles if i < 14 and j < 12}
+            tiles = {(i, j) for i, j in tiles if 0 <= i < 14 and 0 <= j < 12}
             touched = np.zeros((14, 12), np.int64)
             fresh = bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, 896, 768), touched, 3)
             assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
