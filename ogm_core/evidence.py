@@ -5,6 +5,7 @@ three modules of kernels answers the same questions: which rectangle do the upda
 and then: update them.
 """
 
+import math
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -12,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core import beams, bresenham, dda, sector
-from ogm_core.errors import LimitReached, OutsideBounds
+from ogm_core import beams, bresenham, dda, sector, spans
+from ogm_core.errors import BadParameter, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
-from ogm_core.projection import project
-from ogm_core.star import star_of
+from ogm_core.projection import beam_model, project, read_only
+from ogm_core.star import fan_of
 from ogm_core.strips import StripStore
 from ogm_core.types import PlacedScan
 
@@ -63,35 +64,53 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
             larger than any map may be.
         OutsideBounds: every beam that counts leaves bounds that drop such beams.
     """
+    if settings.sensor == "sector":
+        return _seen(placed, settings)
     lattice, bounds = settings.lattice()
-    by_sector = settings.sensor == "sector"
-    if by_sector and placed.sweep is not None:
-        placed = PlacedScan(placed.scan, placed.sweep.middle)
-    exact = settings.traversal == "dda" and not by_sector
+    exact = settings.traversal == "dda"
     cells, lines = project(placed, lattice, settings, exact=exact)
     if bounds is not None and settings.outside == "drop":
-        counted, dropped = beams.drop_outside(cells, *bounds)
-        if counted and dropped == counted:
-            raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
-    if by_sector:
-        return _seen(placed, cells[2], settings)
-    if exact:
-        return Evidence(dda, (cells, lines))
-    return Evidence(bresenham, (cells,))
+        _drop_outside(cells, bounds)
+    return Evidence(dda, (cells, lines)) if exact else Evidence(bresenham, (cells,))
 
 
-def _seen(placed: PlacedScan, kinds: NDArray[np.int64], settings: GridSettings) -> Evidence:
-    """Read a placed scan as sectors; `kinds` says which beams count."""
+def _drop_outside(cells: NDArray[np.int64], bounds: CellRect) -> None:
+    """Skip the beams that leave the bounds; OutsideBounds if these are all that count."""
+    counted, dropped = beams.drop_outside(cells, *bounds)
+    if counted and dropped == counted:
+        raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
+
+
+def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
+    """Read a placed scan as sectors, at the sensor's pose of mid sweep."""
+    if placed.sweep is not None:
+        placed = PlacedScan(placed.scan, placed.sweep.middle)
     lattice, bounds = settings.lattice()
-    sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
-    edges = sector.edges_of(*star_of(placed, kinds, lattice.resolution, settings), fv)
+    kinds = np.empty(0, np.int64)
+    if bounds is not None and settings.outside == "drop":
+        cells = project(placed, lattice, settings).cells
+        _drop_outside(cells, bounds)
+        kinds = cells[2]
+    try:
+        sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
+    except BadParameter as error:
+        raise LimitReached(f"the sensor is out of reach: {error}") from error
+    scan = placed.scan
+    # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
+    heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
+    fan = fan_of(float(scan.angle_min), float(scan.angle_increment), scan.ranges.size)
+    window = CellRect(0, 0, 0, 0)
     if bounds is not None:
         window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
-    else:
-        window = CellRect(*sector.box_of(edges))
-        if window.cells > settings.max_cells:
-            _refuse_early(edges, fu, fv, window, settings.max_cells)
-    return Evidence(sector, (sector.spans(edges, fu, fv, window),), sensor_cell)
+    limits = window, settings.max_cells
+    model, resolution = beam_model(scan, settings), float(lattice.resolution)
+    edges, box, seen = sector.see(
+        read_only(scan.ranges), model, kinds, fan, heading, resolution, fu, fv, *limits
+    )
+    if bounds is None and box[2] * box[3] > settings.max_cells:
+        _refuse_early(edges, fu, fv, CellRect(*box), settings.max_cells)
+        seen = sector.spans(edges, fu, fv, CellRect(*box))
+    return Evidence(spans, (seen,), sensor_cell)
 
 
 def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, box: CellRect, max_cells: int) -> None:
@@ -100,7 +119,7 @@ def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, box: CellRec
     top = box.iy + box.height
     for first in (box.iy, -_PROBE // 2, top - _PROBE):
         probe = CellRect(box.ix, first, box.width, _PROBE)
-        found = CellRect(*sector.extent(sector.spans(edges, fu, fv, probe)))
+        found = CellRect(*spans.extent(sector.spans(edges, fu, fv, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
     if extent.cells > max_cells:

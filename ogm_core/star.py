@@ -9,18 +9,20 @@ how far the scan saw from there on to the next ray:
 
 Both are equal where nothing was hit, and 0 where nothing was seen. Rays along the four axes are always there,
 so that between two rays an arc never turns back. Lengths are in cells.
+
+Where the rays lie in the sensor's frame depends on the beams' bearings alone, so that is worked out once for
+all scans of a sensor: its fan. The sensor's heading turns the fan, and the ranges make a star of it.
 """
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED, BeamModel, classify
-from ogm_core.grid_settings import GridSettings
-from ogm_core.projection import beam_model, read_only
-from ogm_core.types import PlacedScan, Scan
 
 TURN = 2.0 * math.pi
 SAME = 1e-12
@@ -30,106 +32,104 @@ Rays = NDArray[np.float64]
 """Shape (4, n): cosine, sine, inner and outer radius; the last one closes the round."""
 
 
-def star_of(
-    placed: PlacedScan, kinds: NDArray[np.int64], resolution: float, settings: GridSettings
-) -> tuple[Rays, NDArray[np.int64]]:
-    """The rays of a scan at its sensor's pose, and the quadrant (0 to 3) that each of them begins in.
+class Fan(NamedTuple):
+    """The rays between which beams look, in the sensor's frame, counter-clockwise from any one on.
 
-    `kinds` says which beams count.
+    `angles`, rad, float64, ascending, within one turn of the first, which lies in [0, 2 pi); `directions`,
+    shape (2, n), their cosine and sine; `beams`, int64: the beam that looks from there on, -1 if none does.
     """
-    # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
-    heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
-    found = wedges(
-        read_only(placed.scan.ranges),
-        beam_model(placed.scan, settings),
-        kinds,
-        _round(placed.scan),
-        heading,
-        float(resolution),
+
+    angles: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    beams: NDArray[np.int64]
+
+
+@lru_cache(maxsize=16)
+def fan_of(angle_min: float, angle_increment: float, count: int) -> Fan:
+    """The fan of `count` beams; its arrays are read-only."""
+    order = _round(angle_increment, count)
+    half = abs(angle_increment) / 2.0
+    bearings = angle_min + order * angle_increment
+    before = np.roll(bearings, 1)
+    between = (
+        bearings - before - np.floor((bearings - before) / TURN) * TURN if count > 1 else np.array([TURN])
     )
-    rays, quadrants = from_axis_to_axis(found)
-    return rays, quadrants
+    gap = between > 2.0 * half + SAME  # nobody looks between these two beams
+    # An increment that is lost in rounding leaves a beam no width, and nothing to see.
+    seeing = (bearings + half) - (bearings - half) > SAME
+    angles = np.stack((before + half, np.where(gap, bearings - half, bearings - between / 2.0)), axis=1)
+    beams = np.stack((np.full(order.size, -1), np.where(seeing, order, -1)), axis=1)
+    kept = np.stack((gap, np.ones(order.size, np.bool_)), axis=1)
+    angles, beams = angles[kept], beams[kept]
+    directions = np.stack((np.cos(angles), np.sin(angles)))
+    onward = angles - angles[0]
+    onward = np.maximum.accumulate(np.maximum(onward - np.floor((onward + SAME) / TURN) * TURN, 0.0))
+    fan = Fan(angles[0] - math.floor(angles[0] / TURN) * TURN + onward, directions, beams)
+    for array in fan:
+        array.flags.writeable = False
+    return fan
 
 
-def _round(scan: Scan) -> NDArray[np.int64]:
+def _round(angle_increment: float, count: int) -> NDArray[np.int64]:
     """Beams in the order in which a counter-clockwise round meets them; of equal bearings only the first."""
-    beams = np.arange(scan.ranges.size)
-    if (beams.size - 1) * abs(scan.angle_increment) < TURN - SAME:
-        return beams if scan.angle_increment > 0.0 else beams[::-1].copy()
-    bearings = np.mod(beams * scan.angle_increment + SAME, TURN)
+    beams = np.arange(count)
+    if (count - 1) * abs(angle_increment) < TURN - SAME:
+        return beams if angle_increment > 0.0 else beams[::-1].copy()
+    bearings = np.mod(beams * angle_increment + SAME, TURN)
     order = np.argsort(bearings, kind="stable")
     new = np.diff(bearings[order], prepend=-1.0) > SAME
     return np.asarray(np.minimum.reduceat(order, np.flatnonzero(new)), np.int64)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def wedges(
+def turned(
     ranges: NDArray[np.float32],
     beam: BeamModel,
     kinds: NDArray[np.int64],
-    order: NDArray[np.int64],
+    fan: Fan,
     heading: float,
     resolution: float,
-) -> NDArray[np.float64]:
-    """Angle, inner and outer radius of every ray but the axes', counter-clockwise from any one on.
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The star of a scan: its rays in one round from the x axis on, and the quadrant (0 to 3) each begins in.
 
-    `order` are the beams as they are met counter-clockwise.
+    `heading`, rad, in [-pi, pi], is the sensor's. A beam whose entry in `kinds` is SKIPPED does not count; if
+    there are no entries, all count.
     """
-    n = order.size
-    half = abs(beam.angle_increment) / 2.0
-    found = np.zeros((3, 2 * n))
-    count = 0
-    for p in range(n):
-        bearing = beam.angle_min + order[p] * beam.angle_increment
-        before = beam.angle_min + order[p - 1] * beam.angle_increment
-        between = bearing - before - math.floor((bearing - before) / TURN) * TURN
-        if n == 1:
-            between = TURN
-        if between > 2.0 * half + SAME:  # nobody looks between these two beams
-            found[0, count] = heading + (before + half)
-            count += 1
-            found[0, count] = heading + (bearing - half)
-        else:
-            found[0, count] = heading + (bearing - between / 2.0)
-        kind, length = classify(float(ranges[order[p]]), beam)
-        # An increment that is lost in rounding leaves a beam no width, and nothing to see.
-        width = (heading + (bearing + half)) - (heading + (bearing - half))
-        if kinds[order[p]] != SKIPPED and width > SAME:
-            thickness = beam.alpha / 2.0 if kind == HIT else 0.0
-            found[1, count] = max(length - thickness, 0.0) / resolution
-            found[2, count] = (length + thickness) / resolution
-        count += 1
-    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
-    return found[:, :count].copy()
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def from_axis_to_axis(found: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Rays and quadrants of one round from the x axis on, with all four axes; `found` are the wedges."""
-    angles = found[0] - np.floor(found[0] / TURN) * TURN
-    count = angles.size
-    # The round begins before the ray where the angles fall back from 2 pi to 0.
-    begin = 0
-    for r in range(count):
-        if angles[r - 1] - angles[r] > angles[begin - 1] - angles[begin]:
-            begin = r
-    rays = np.zeros((4, count + 5))
-    quadrants = np.zeros(count + 5, np.int64)
-    inner, outer = found[1, begin - 1], found[2, begin - 1]
+    n = fan.beams.size
+    radii = np.zeros((2, n))
+    for r in range(n):
+        b = fan.beams[r]
+        if b < 0 or (kinds.size > 0 and kinds[b] == SKIPPED):
+            continue
+        kind, length = classify(float(ranges[b]), beam)
+        if kind == SKIPPED:
+            continue
+        thickness = beam.alpha / 2.0 if kind == HIT else 0.0
+        radii[0, r] = max(length - thickness, 0.0) / resolution
+        radii[1, r] = (length + thickness) / resolution
+    first = fan.angles[0] + heading
+    turn = heading - math.floor(first / TURN) * TURN
+    begin = np.searchsorted(fan.angles, TURN - turn)  # from here on a turn has been completed
+    rays = np.zeros((4, n + 5))
+    quadrants = np.zeros(n + 5, np.int64)
+    ch, sh = math.cos(heading), math.sin(heading)
     m = 0
     quadrant = -1
-    for t in range(count + 1):
-        r = (begin + t) % count
-        while quadrant < 3 and (t == count or quadrant == -1 or angles[r] >= (quadrant + 1) * math.pi / 2.0):
+    inner, outer = radii[0, begin - 1], radii[1, begin - 1]
+    for t in range(n + 1):
+        r = begin + t if begin + t < n else begin + t - n
+        angle = fan.angles[r] + turn - (TURN if begin + t < n else 0.0)
+        while quadrant < 3 and (t == n or quadrant == -1 or angle >= (quadrant + 1) * math.pi / 2.0):
             quadrant += 1
             rays[0, m], rays[1, m] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quadrant]
             rays[2, m], rays[3, m] = inner, outer
             quadrants[m] = quadrant
             m += 1
-        if t == count:
+        if t == n:
             break
-        inner, outer = found[1, r], found[2, r]
-        c, s = math.cos(found[0, r]), math.sin(found[0, r])
+        inner, outer = radii[0, r], radii[1, r]
+        c = ch * fan.directions[0, r] - sh * fan.directions[1, r]
+        s = sh * fan.directions[0, r] + ch * fan.directions[1, r]
         rays[0, m] = max(c, 0.0) if quadrant in (0, 3) else min(c, 0.0)
         rays[1, m] = max(s, 0.0) if quadrant < 2 else min(s, 0.0)
         rays[2, m], rays[3, m] = inner, outer
@@ -137,4 +137,4 @@ def from_axis_to_axis(found: NDArray[np.float64]) -> tuple[NDArray[np.float64], 
         m += 1
     rays[0, m] = 1.0
     quadrants[m] = 3
-    return rays[:, : m + 1].copy(), quadrants[: m + 1].copy()
+    return rays[:, : m + 1], quadrants[: m + 1]

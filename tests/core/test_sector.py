@@ -8,7 +8,7 @@ import pytest
 from numba import config, njit
 
 import naive
-from ogm_core import sector
+from ogm_core import spans
 from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.evidence import observe
 from ogm_core.grid import OccupancyGrid
@@ -61,7 +61,7 @@ def brute_force(rect, u, v, resolution, theta, bearings, half, kinds, lengths, a
 def assert_every_cell(scan, pose, settings):
     """Compare all cells around the sensor; return how often each class occurs."""
     lattice, bounds = settings.lattice()
-    spans = observe(PlacedScan(scan, pose), settings).arrays[0]
+    seen = observe(PlacedScan(scan, pose), settings).arrays[0]
     bearings, kinds, lengths = beams_of(scan, settings)
     u = (pose.x - lattice.anchor[0]) / lattice.resolution
     v = (pose.y - lattice.anchor[1]) / lattice.resolution
@@ -69,7 +69,7 @@ def assert_every_cell(scan, pose, settings):
     i0, j0 = math.floor(u), math.floor(v)
     rect = CellRect(i0 - around, j0 - around, 2 * around, 2 * around)
     found = np.zeros((rect.height, rect.width), np.int8)
-    for row, first, end, kind in spans.T.tolist():
+    for row, first, end, kind in seen.T.tolist():
         assert first < end
         assert not found[row + around, first + around : end + around].any(), "a cell is updated twice"
         found[row + around, first + around : end + around] = kind
@@ -202,14 +202,14 @@ def test_rounds_that_overlap_or_leave_gaps(count, increment):
 
 def test_of_equal_bearings_the_first_beam_wins():
     ranges = [2.0, 3.0, 4.0, 5.0, 6.0]  # the fifth looks where the first does
-    spans = [
+    both = [
         observe(
             PlacedScan(scan_of(r, angle_min=0.0, angle_increment=TURN / 4), Pose(0.03, 0.02, 0.1)),
             settings_of(),
         ).arrays[0]
         for r in (ranges, ranges[:4])
     ]
-    assert np.array_equal(*spans)
+    assert np.array_equal(*both)
 
 
 @pytest.mark.parametrize("fv", [0.5, 0.3])
@@ -277,7 +277,7 @@ def test_drop_ignores_the_sectors_of_beams_that_leave_the_bounds():
 
 
 def test_tiles_are_taken_only_where_cells_are():
-    grid = OccupancyGrid(settings_of(resolution=0.05))
+    grid = OccupancyGrid(settings_of(resolution=0.05, max_bytes=10**6))
     scan = scan_of([7.0] * 3, angle_min=0.0, angle_increment=0.01)  # a thin wedge, 140 cells long
     grid.integrate(scan, Pose(0.01, 0.3, 0.0))
     snapshot = grid.snapshot()
@@ -360,12 +360,12 @@ def test_far_beams_of_fine_cells():
     scan = scan_of(ranges, angle_min=-1e-5, angle_increment=1e-5, range_max=1000.0)
     pose = Pose(0.0012, 0.0031, 0.3)
     bearings, kinds, lengths = beams_of(scan, settings)
-    spans = observe(PlacedScan(scan, pose), settings).arrays[0]
-    assert spans.shape[1] > 50_000
+    seen = observe(PlacedScan(scan, pose), settings).arrays[0]
+    assert seen.shape[1] > 50_000
     fu, fv = pose.x / 0.005, pose.y / 0.005
     model = pose.theta, bearings, 0.5e-5, kinds, lengths, settings.alpha
     wrong = 0
-    for row, first, end, kind in spans[:, :: spans.shape[1] // 2000].T.tolist():
+    for row, first, end, kind in seen[:, :: seen.shape[1] // 2000].T.tolist():
         for i, expected in ((first, kind), (end - 1, kind)):
             dx, dy = (i + 0.5 - fu) * 0.005, (row + 0.5 - fv) * 0.005
             wrong += sector_class(dx, dy, *model) != expected
@@ -373,25 +373,25 @@ def test_far_beams_of_fine_cells():
 
 
 def test_counting_and_kinds_of_the_update_kernel():
-    spans = np.array(
-        [[0, 1, 1], [-3, 60, 70], [5, 70, 130], [sector.FREE, sector.FREE, sector.OCCUPIED]], np.int32
+    found = np.array(
+        [[0, 1, 1], [-3, 60, 70], [5, 70, 130], [spans.FREE, spans.FREE, spans.OCCUPIED]], np.int32
     )
     columns = np.arange(192)
     column = (columns // 64) * 64 * 64 + columns % 64
     cells = np.zeros(3 * 64 * 64, np.int16)
     update = Update(-20, 30, -100, 100, 0)
-    assert sector.update_cells(spans, CellRect(0, 0, 128, 64), cells, column, update) == 5 + 10 + 58
+    assert spans.update_cells(found, CellRect(0, 0, 128, 64), cells, column, update) == 5 + 10 + 58
     dense = cells.reshape(3, 64, 64).transpose(1, 0, 2).reshape(64, 192)
-    assert (dense[0, :5] == -19).all()
-    assert (dense[1, 60:70] == -19).all()
+    assert (dense[0, :5] == -20).all()
+    assert (dense[1, 60:70] == -20).all()
     assert (dense[1, 70:128] == 31).all()
     assert np.count_nonzero(dense) == 5 + 10 + 58
-    assert sector.extent(spans) == (-3, 0, 133, 2)
+    assert spans.extent(found) == (-3, 0, 133, 2)
 
 
 def test_a_span_that_ends_at_a_tiles_edge_touches_no_tile_beyond_it():
-    spans = np.array([[63, 64], [10, 64], [64, 128], [sector.FREE, sector.OCCUPIED]], np.int32)
+    found = np.array([[63, 64], [10, 64], [64, 128], [spans.FREE, spans.OCCUPIED]], np.int32)
     touched = np.zeros((3, 3), np.int64)
-    assert sector.touch_tiles(spans, CellRect(0, 0, 192, 192), touched, 4) == 2
+    assert spans.touch_tiles(found, CellRect(0, 0, 192, 192), touched, 4) == 2
     assert np.argwhere(touched == 4).tolist() == [[0, 0], [1, 1]]
-    assert sector.touch_tiles(spans, CellRect(0, 0, 192, 192), touched, 5) == 0
+    assert spans.touch_tiles(found, CellRect(0, 0, 192, 192), touched, 5) == 0
