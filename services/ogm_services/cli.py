@@ -14,7 +14,7 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, held_signals, running_service
-from ogm_services.kernel_cache import kernel_cache
+from ogm_services.kernel_cache import kernel_cache, load_numba
 from ogm_services.options import (
     ConfigFile,
     HttpFlags,
@@ -122,6 +122,7 @@ def mapper(
     settings = settings_from(config, map_flags, mapper_flags, network, http)
     with running_service(), kernel_cache():
         with held_signals():
+            load_numba()
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
 
@@ -246,6 +247,7 @@ def build(
     settings = settings_from(config, map_flags)
     with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
         with held_signals():
+            load_numba()
             from ogm_services.build import run_build
         run_build(
             log,
