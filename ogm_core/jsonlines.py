@@ -16,7 +16,7 @@ from ogm_core.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_fields, 
 from ogm_core.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan, text_ranges
 from ogm_core.types import Ranges
 
-_RANGES = re.compile(rb'"ranges"\s*:\s*\[([^][]*)\]')
+_RANGES = re.compile(rb'"ranges"\s*:\s*\[')
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
@@ -59,15 +59,16 @@ def _fields(line: bytes) -> dict[str, Any]:
 def _cut(line: bytes, decimals: ReadDecimals) -> tuple[dict[str, Any], Ranges] | None:
     """A scan's fields, and its ranges read at once; None if that cannot be, or the line is not JSON."""
     found = _RANGES.search(line)
+    end = -1 if found is None else line.find(b"]", found.end())
     # Without a backslash what looks like this name is it; once in the line, and at its top, it is the scan's.
-    if found is None or b"\\" in line or line.count(b'"ranges"') > 1:
+    if found is None or end < 0 or b"\\" in line or line.count(b'"ranges"') > 1:
         return None
-    text = found[1]
+    text = line[found.end() : end]
     ranges_and_end = decimals(text, text.count(b",") + 1, commas=True)
     if ranges_and_end is None or text[ranges_and_end[1] :].strip(b" \t"):
         return None
     try:
-        fields = _fields(line[: found.start(1)] + line[found.end(1) :])
+        fields = _fields(line[: found.end()] + line[end:])
     except BadMessage:
         return None
     return (fields, ranges_and_end[0]) if "ranges" in fields else None

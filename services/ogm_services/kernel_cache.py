@@ -5,9 +5,7 @@ traceback where neither can be written, as in a read-only container whose user h
 """
 
 import hashlib
-import importlib
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,23 +53,6 @@ def kernel_cache() -> Iterator[None]:
                 err=True,
             )
             yield
-
-
-def load_numba() -> None:
-    """Load numba, and what it loads with the first kernel, without scipy's linear algebra.
-
-    numba looks for it at that moment, for products of matrices, and importing it takes longer than all
-    kernels together. None of them multiplies matrices. Call it before there are other threads, for it hides
-    the module that they might want.
-    """
-    name = "scipy.linalg"
-    if name in sys.modules:
-        return
-    sys.modules[name] = None  # type: ignore[assignment]  # importing it now fails, as if it were not there
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[name]
 
 
 def _lasting(given: Path) -> Path:

@@ -234,20 +234,3 @@ def test_a_refused_folder_leaves_the_environment_as_it_was(places, monkeypatch):
     with pytest.raises(BadSetting, match=str(places / "file")), kernel_cache.kernel_cache():
         pytest.fail("nothing can be written there")
     assert told() == str(places / "file")
-
-
-def test_kernels_are_loaded_without_linear_algebra_that_others_may_load_later():
-    program = """if True:
-        import sys
-        from ogm_services.kernel_cache import load_numba
-        load_numba()
-        from ogm_services.mapper.service import warm_up
-        from ogm_services.settings import Settings
-        warm_up(Settings().grid_settings())
-        print("numba" in sys.modules, "scipy.linalg" in sys.modules)
-        import scipy.linalg
-        load_numba()
-        print(scipy.linalg.det([[2.0, 1.0], [1.0, 1.0]]), sys.modules["scipy.linalg"] is scipy.linalg)
-    """
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT)
-    assert (run.stdout.split(), run.stderr) == (["True", "False", "1.0", "True"], "")
