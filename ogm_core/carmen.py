@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 from ogm_core.errors import BadMessage
 from ogm_core.messages import DEFAULT_MAX_BEAMS, MAX_RANGE, pose_from_fields, scan_from_fields
-from ogm_core.recorded import Recorded, RecordedPose, RecordedScan, text_ranges
-from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_core.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan, text_ranges
+from ogm_core.types import Pose, PoseStamped, Ranges, Scan
 
 ROBOT = "robot1"
 SENSOR = "laser"
@@ -65,6 +65,7 @@ class CarmenLog:
     `range_max` (m) replaces what the log says. `mount`: None, or the laser's pose on the robot; then ODOM
     lines are read. FLASER and ROBOTLASER1 are two forms of the front laser's sweeps; of a log that holds
     both, only the form that comes first is read. `unread` counts the messages that were passed over, by name.
+    `decimals` reads the ranges of most lines at once; without it, and where it cannot, they are read singly.
     """
 
     def __init__(
@@ -73,11 +74,13 @@ class CarmenLog:
         range_max: float | None = None,
         max_beams: int = DEFAULT_MAX_BEAMS,
         mount: Pose | None = None,
+        decimals: ReadDecimals | None = None,
     ) -> None:
         self.unread: Counter[str] = Counter()
         self._range_max = range_max
         self._max_beams = max_beams
         self._mount = mount
+        self._decimals = decimals
         self._form: str | None = None
 
     def parse_line(self, line: bytes) -> Recorded | None:
@@ -97,18 +100,20 @@ class CarmenLog:
 
     def message(self, line: bytes) -> LaserLine | PoseStamped | None:
         """What one line says, likewise."""
-        tokens = line.split()
-        if not tokens or tokens[0].startswith(b"#"):
+        first = line.split(None, 1)[:1]
+        if not first or first[0].startswith(b"#"):
             return None
-        name = tokens[0].decode(errors="replace")
+        name = first[0].decode(errors="replace")
         laser = _LASERS.get(name) if self._form in (None, name) else None
         if laser is None and (name != "ODOM" or self._mount is None):
             self._pass_over(name)
             return None
         try:
             if laser is None:
-                return _odom(tokens)
-            sweep = laser(tokens, self._range_max, self._max_beams)
+                return _odom(line.split())
+            sweep = self._at_once(laser, line) or laser.read(
+                line.split(), None, self._range_max, self._max_beams
+            )
         except BadMessage as error:
             raise BadMessage(f"{name}: {error}") from error
         self._form = name
@@ -118,6 +123,24 @@ class CarmenLog:
         """The laser messages among `unread`, as "20 RLASER, 3 RAWLASER1"; "" if there are none."""
         return ", ".join(f"{count} {name}" for name, count in self.unread.most_common() if "LASER" in name)
 
+    def _at_once(self, laser: "_Laser", line: bytes) -> LaserLine | None:
+        """What a laser's line says; None if its ranges cannot be read at once, or anything else is wrong."""
+        if self._decimals is None:
+            return None
+        *head, text = line.split(None, laser.count_at + 1)
+        if len(head) <= laser.count_at or not _is_count(head[-1]) or int(head[-1]) > self._max_beams:
+            return None
+        ranges_and_end = self._decimals(text, int(head[-1]))
+        if ranges_and_end is None:
+            return None
+        ranges, end = ranges_and_end
+        if not text[end : end + 1].isspace():
+            return None
+        try:
+            return laser.read(head + text[end:].split(), ranges, self._range_max, self._max_beams)
+        except BadMessage:
+            return None  # who reads it with care says what is wrong
+
     def _pass_over(self, name: str) -> None:
         # PARAM, SYNC, NEFF, TRUEPOS, ODOM, RLASER, ROBOTLASER2, RAWLASER1 ... and what is yet to be invented.
         if not _MESSAGE_NAME.fullmatch(name):
@@ -125,11 +148,12 @@ class CarmenLog:
         self.unread[name if name in self.unread or len(self.unread) < _MAX_NAMES else "others"] += 1
 
 
-def _flaser(tokens: list[bytes], range_max: float | None, max_beams: int) -> LaserLine:
+def _flaser(tokens: list[bytes], ranges: Ranges | None, range_max: float | None, max_beams: int) -> LaserLine:
+    """What an FLASER line says; `ranges` are those that were read already, and are none of its tokens."""
     count = tokens[1] if len(tokens) > 1 else b""
     if count not in _STEP_DEGREES:
         raise BadMessage(f"180, 181, 360 or 361 beams, whose bearings are known, are needed, got {count!r}")
-    beams = int(count)
+    beams = int(count) if ranges is None else 0
     _check_length(tokens, beams + 11, f" for {beams} beams")
     numbers = _numbers(tokens, lambda: ["num_readings", *_each("ranges", beams), *_POSES, "ipc_time"])
     fields = {
@@ -137,12 +161,17 @@ def _flaser(tokens: list[bytes], range_max: float | None, max_beams: int) -> Las
         "angle_increment": math.radians(_STEP_DEGREES[count]),
         "range_max": RANGE_MAX if range_max is None else range_max,
     }
-    return _laser_line(fields, numbers[1 : 1 + beams], numbers[1 + beams :], max_beams)
+    if ranges is None:
+        ranges = text_ranges(numbers[1 : 1 + beams])
+    return _laser_line(fields, ranges, numbers[1 + beams :], max_beams)
 
 
-def _robotlaser(tokens: list[bytes], range_max: float | None, max_beams: int) -> LaserLine:
+def _robotlaser(
+    tokens: list[bytes], ranges: Ranges | None, range_max: float | None, max_beams: int
+) -> LaserLine:
+    """What a ROBOTLASER1 line says, likewise."""
     first = 1 + len(_SETUP)
-    beams = _count(tokens, first, "num_readings")
+    beams = _count(tokens, first, "num_readings") if ranges is None else 0
     remissions = _count(tokens, first + 1 + beams, "num_remissions")
     _check_length(tokens, beams + remissions + 24, f" for {beams} readings and {remissions} remissions")
 
@@ -165,23 +194,29 @@ def _robotlaser(tokens: list[bytes], range_max: float | None, max_beams: int) ->
         "angle_increment": resolution,
         "range_max": own_range_max if range_max is None else range_max,
     }
-    return _laser_line(
-        fields, numbers[first : first + beams], numbers[first + 1 + beams + remissions :], max_beams
-    )
+    if ranges is None:
+        ranges = text_ranges(numbers[first : first + beams])
+    return _laser_line(fields, ranges, numbers[first + 1 + beams + remissions :], max_beams)
 
 
-_LASERS = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
+class _Laser(NamedTuple):
+    """One form of the laser's lines."""
+
+    count_at: int
+    """Which of its tokens says how many ranges follow."""
+    read: Callable[[list[bytes], Ranges | None, float | None, int], LaserLine]
+
+
+_LASERS = {"FLASER": _Laser(1, _flaser), "ROBOTLASER1": _Laser(1 + len(_SETUP), _robotlaser)}
 LASERS_READ = tuple(_LASERS)
 
 
-def _laser_line(
-    fields: dict[str, float], ranges: list[float], rest: list[float], max_beams: int
-) -> LaserLine:
-    """Put together what follows the ranges: the two poses first, ipc_time last."""
+def _laser_line(fields: dict[str, float], ranges: Ranges, rest: list[float], max_beams: int) -> LaserLine:
+    """Put a sweep together; what follows its ranges are the two poses first, ipc_time last."""
     pose = rest[:3]
     _check_finite(**dict(zip(_LASER_POSE, pose, strict=True)))
     header = {"stamp": _nanoseconds(rest[-1]), "seq": 0, "range_min": 0.0, "pose": pose}
-    scan = scan_from_fields(fields | header, text_ranges(ranges), max_beams=max_beams)
+    scan = scan_from_fields(fields | header, ranges, max_beams=max_beams)
     return LaserLine(scan, Pose(*rest[3:6]))
 
 
@@ -198,9 +233,13 @@ def _each(name: str, count: int) -> list[str]:
 def _count(tokens: list[bytes], at: int, name: str) -> int:
     if at >= len(tokens):
         raise BadMessage(f"{name}: missing, the line has only {len(tokens)} fields")
-    if not tokens[at].isdigit() or len(tokens[at]) > _COUNT_DIGITS:
+    if not _is_count(tokens[at]):
         raise BadMessage(f"{name}: a whole number is needed, got {tokens[at]!r}")
     return int(tokens[at])
+
+
+def _is_count(token: bytes) -> bool:
+    return token.isdigit() and len(token) <= _COUNT_DIGITS
 
 
 def _check_length(tokens: list[bytes], needed: int, purpose: str = "") -> None:

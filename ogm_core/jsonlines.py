@@ -5,6 +5,7 @@
 
 import json
 import math
+import re
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -12,22 +13,38 @@ import numpy as np
 from ogm_core.errors import BadMessage
 from ogm_core.keys import NAME
 from ogm_core.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_fields, scan_from_fields
-from ogm_core.recorded import Recorded, RecordedPose, RecordedScan, text_ranges
+from ogm_core.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan, text_ranges
 from ogm_core.types import Ranges
 
+_RANGES = re.compile(rb'"ranges"\s*:\s*\[')
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def parse_line(
-    line: bytes, *, range_max: float | None = None, max_beams: int = DEFAULT_MAX_BEAMS
+    line: bytes,
+    *,
+    range_max: float | None = None,
+    max_beams: int = DEFAULT_MAX_BEAMS,
+    decimals: ReadDecimals | None = None,
 ) -> Recorded | None:
     """Read one line; None if it is blank. `range_max` (m) replaces a scan's own.
+
+    `decimals` reads the ranges of most scans at once; without it, and where it cannot, JSON's reader does.
 
     Raises:
         BadMessage: it is not JSON, or not a well-formed message.
     """
     if not line.strip():
         return None
+    if decimals is not None and (cut := _cut(line, decimals)) is not None:
+        try:
+            return _recorded(*cut, range_max, max_beams)
+        except BadMessage:
+            pass  # the whole line says better what is wrong
+    return _recorded(_fields(line), None, range_max, max_beams)
+
+
+def _fields(line: bytes) -> dict[str, Any]:
     try:
         fields = json.loads(line.decode(), parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
@@ -36,6 +53,31 @@ def parse_line(
         raise BadMessage(f"not JSON ({error})") from error
     if not isinstance(fields, dict):
         raise BadMessage("not a JSON object")
+    return fields
+
+
+def _cut(line: bytes, decimals: ReadDecimals) -> tuple[dict[str, Any], Ranges] | None:
+    """A scan's fields, and its ranges read at once; None if that cannot be, or the line is not JSON."""
+    found = _RANGES.search(line)
+    end = -1 if found is None else line.find(b"]", found.end())
+    # Without a backslash what looks like this name is it; once in the line, and at its top, it is the scan's.
+    if found is None or end < 0 or b"\\" in line or line.count(b'"ranges"') > 1:
+        return None
+    text = line[found.end() : end]
+    ranges_and_end = decimals(text, text.count(b",") + 1, commas=True)
+    if ranges_and_end is None or text[ranges_and_end[1] :].strip(b" \t"):
+        return None
+    try:
+        fields = _fields(line[: found.end()] + line[end:])
+    except BadMessage:
+        return None
+    return (fields, ranges_and_end[0]) if "ranges" in fields else None
+
+
+def _recorded(
+    fields: dict[str, Any], ranges: Ranges | None, range_max: float | None, max_beams: int
+) -> Recorded:
+    """The message that a line's fields are; `ranges`, if they were read already."""
     match fields.get("type"):
         case "pose":
             return RecordedPose(_name(fields, "robot"), pose_from_fields(fields))
@@ -43,7 +85,9 @@ def parse_line(
             robot, sensor = _name(fields, "robot"), _name(fields, "sensor")
             if range_max is not None:
                 fields["range_max"] = range_max
-            scan = scan_from_fields(fields, _ranges(fields.get("ranges")), max_beams=max_beams)
+            if ranges is None:
+                ranges = _ranges(fields.get("ranges"))
+            scan = scan_from_fields(fields, ranges, max_beams=max_beams)
             return RecordedScan(robot, sensor, scan)
         case other:
             raise BadMessage(f"type: 'pose' or 'scan' is needed, got {_shown(other)}")

@@ -168,18 +168,20 @@ def _finite(value: object, name: str) -> float:
 
 
 def _number(fields: Fields, name: str, default: float | None = None) -> float:
-    if default is not None and name not in fields:
-        return default
+    value = fields.get(name, default)
+    if type(value) is float and math.isfinite(value):  # as nearly always; a scan has many of them
+        return value
     return _finite(_required(fields, name), name)
 
 
 def _count(fields: Fields, name: str) -> int:
+    value = fields.get(name)
+    if type(value) is int and 0 <= value < _INT_END:
+        return value
     value = _required(fields, name)
     if type(value) is not int:
         raise BadMessage(f"{name}: a whole number is needed, got {_kind(value)}")
-    if not 0 <= value < _INT_END:
-        raise BadMessage(f"{name}: 0 to 2^63 - 1 is needed, got {value}")
-    return value
+    raise BadMessage(f"{name}: 0 to 2^63 - 1 is needed, got {value}")
 
 
 def _text(fields: Fields, name: str) -> str:
@@ -192,9 +194,12 @@ def _text(fields: Fields, name: str) -> str:
 
 
 def _pose(fields: Fields, name: str) -> Pose | None:
-    if name not in fields:
+    value = fields.get(name)
+    if value is None and name not in fields:
         return None
-    value = fields[name]
     if not isinstance(value, list) or len(value) != 3:
         raise BadMessage(f"{name}: [x, y, theta] is needed")
+    x, y, theta = value
+    if type(x) is type(y) is type(theta) is float and all(map(math.isfinite, value)):
+        return Pose(x, y, theta)
     return Pose(*(_finite(part, f"{name}[{i}]") for i, part in enumerate(value)))

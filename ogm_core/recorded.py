@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -26,6 +27,14 @@ class RecordedScan:
 
 
 Recorded = RecordedPose | RecordedScan
+
+
+class ReadDecimals(Protocol):
+    """`ogm_core.decimals.read_decimals`, for those who read a log so fast that loading numba pays."""
+
+    def __call__(self, text: bytes, count: int, *, commas: bool = False) -> tuple[Ranges, int] | None:
+        """Read the `count` plain decimals that a text begins with, or None; and say where the last ends."""
+        ...
 
 
 def text_ranges(values: Sequence[float]) -> Ranges:

@@ -54,6 +54,16 @@ def parsed(parse, *lines):
     return messages, complaints
 
 
+def parsed_twice(careful, quick, *lines):
+    """The same, by two readers that must not differ: one reads ranges one by one, the other at once."""
+    messages, complaints = parsed(careful, *lines)
+    others, other_complaints = parsed(quick, *lines)
+    assert other_complaints == complaints
+    assert len(others) == len(messages)
+    assert all(same(one, other) for one, other in zip(messages, others, strict=True))
+    return messages, complaints
+
+
 def same(one, other):
     """Whether two recorded messages are equal, bit for bit."""
     return repr(one) == repr(other) and (

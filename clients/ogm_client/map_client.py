@@ -10,7 +10,6 @@ from typing import Any, Self
 import zenoh
 
 from ogm_client.errors import BadReply
-from ogm_client.http_transport import HttpTransport
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import DEFAULT_ADDRESS
 from ogm_client.transport import NAMES, MapReply, Transport, json_object
@@ -137,6 +136,9 @@ class MapClient:
 
 def _transport(address: str, map_name: str, timeout: float, session: zenoh.Session | None) -> Transport:
     if session is None and address.startswith(("http://", "https://")):
+        # Here, because it loads httpx, which who speaks Zenoh need not wait for.
+        from ogm_client.http_transport import HttpTransport
+
         return HttpTransport(address, timeout)
     if session is None and ("://" in address or "/" not in address):
         raise BadSetting(

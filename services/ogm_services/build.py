@@ -1,16 +1,18 @@
 """`ogm build`: a map of a recorded log, without network.
 
-The log goes through the same Mapper as live messages do, in file order. A second pass over it judges how
-well the finished map agrees with the scans that made it.
+The log goes through the same Mapper as live messages do, in file order. Then the scans that made the map are
+held against it, to judge how well it agrees with them: from memory, or in a second pass over a log that is
+too large for that.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from ogm_core.decimals import read_decimals
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, held_out, quality_figures
@@ -26,6 +28,11 @@ from ogm_services.output import write_map
 from ogm_services.progress import progress_bar
 from ogm_services.settings import Settings
 from ogm_services.trails import Trail
+
+MAX_KEPT = 256 * 1024**2
+"""Bytes of scans that are kept to be judged; a log with more of them is read again."""
+_SCAN_BYTES = 1000
+"""What a scan takes beside its arrays, about."""
 
 
 def run_build(
@@ -56,7 +63,14 @@ def run_build(
         check_figure(figure, out)
 
     def reader() -> RecordingReader:
-        return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry, max_beams=max_beams)
+        return RecordingReader(
+            log,
+            range_max=range_max,
+            robot=robot,
+            odometry=odometry,
+            max_beams=max_beams,
+            decimals=read_decimals,
+        )
 
     grid = OccupancyGrid(settings.grid_settings())
     first = _MapPass(grid)
@@ -67,8 +81,7 @@ def run_build(
     report = _report(messages, ledger, first)
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty(f"{log}: no scan changed the map ({report})")
-    with reader() as messages:
-        quality = _judged(messages, snapshot, first, hold_out)
+    quality = _judged(reader, snapshot, first, hold_out)
     if true_world is not None:
         quality["truth"] = truth_figures(snapshot, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
@@ -86,6 +99,26 @@ class _Pass(ScanSink):
     robot: str
 
 
+class _Kept:
+    """The scans that the map took, in order, as long as there is room for them."""
+
+    def __init__(self) -> None:
+        self.scans: list[PlacedScan] | None = []
+        """None once there was no room: not one of them is kept then."""
+        self._size = 0
+
+    def add(self, placed: PlacedScan) -> None:
+        """Keep a scan, or none at all."""
+        if self.scans is None:
+            return
+        sweep = 0 if placed.sweep is None else placed.sweep.beams.nbytes
+        self._size += _SCAN_BYTES + placed.scan.ranges.nbytes + sweep
+        if self._size <= MAX_KEPT:
+            self.scans.append(placed)
+        else:
+            self.scans = None
+
+
 @dataclass
 class _MapPass(_Pass):
     """First pass: scans go into the map, or aside if they are held out."""
@@ -95,6 +128,7 @@ class _MapPass(_Pass):
     held: list[PlacedScan] = field(default_factory=list)
     accepted: list[bool] = field(default_factory=list)
     """Of every scan that was placed and not held out, in order: whether the map took it."""
+    kept: _Kept = field(default_factory=_Kept)
     robot: str = ""
     trails: dict[str, Trail] = field(default_factory=dict)
 
@@ -107,6 +141,7 @@ class _MapPass(_Pass):
         self.accepted.append(False)
         updates = self.grid.integrate(scan, pose, sweep)
         self.accepted[-1] = True
+        self.kept.add(PlacedScan(scan, pose, sweep))
         self.trails.setdefault(self.robot, Trail()).add(scan, pose)
         return updates
 
@@ -133,7 +168,7 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
     """Send a log through a mapper, up to and including what waits for poses at its end."""
     mapper = Mapper(sink, ledger)
     index = 0
-    with progress_bar(text, messages.size) as bar:
+    with progress_bar(text, messages.size) as show:
         for message in messages:
             # A message makes scans of its own robot ready, and of no other.
             sink.robot = message.robot
@@ -143,7 +178,7 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
                 index += 1
                 ledger.scan_received(message.robot, message.sensor)
                 mapper.add_scan(message.robot, message.sensor, message.message)
-                bar.at(messages.position)
+                show(messages.position)
             else:
                 ledger.pose_received(message.robot)
                 mapper.add_pose(message.robot, message.message)
@@ -151,12 +186,19 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
 
 
 def _judged(
-    messages: RecordingReader, snapshot: MapSnapshot, first: _MapPass, hold_out: int | None
+    reader: Callable[[], RecordingReader], snapshot: MapSnapshot, first: _MapPass, hold_out: int | None
 ) -> dict[str, Any]:
-    """The figures of a finished map, in a second pass over its log."""
+    """The figures of a finished map."""
     grid = first.grid
     consistency = Consistency(snapshot, grid.settings)
-    _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+    if first.kept.scans is None:
+        with reader() as messages:
+            _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+    else:
+        with progress_bar("judging", len(first.kept.scans)) as show:
+            for done, placed in enumerate(first.kept.scans, 1):
+                consistency.add(placed)
+                show(done)
     quality = quality_figures(snapshot, consistency, grid.cell_updates)
     if hold_out is not None:
         quality["held_out"] = held_out(snapshot, grid.settings, first.held)

@@ -13,8 +13,9 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
-from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, held_signals, running_service
+from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, running_service
 from ogm_services.kernel_cache import kernel_cache
+from ogm_services.loading import load_numba, loading
 from ogm_services.options import (
     ConfigFile,
     HttpFlags,
@@ -103,7 +104,7 @@ def demo(
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     settings = settings_from(config, map_flags, network, http)
     with running_service(), kernel_cache():
-        with held_signals():
+        with loading():
             from ogm_services.demo import run_demo
         run_demo(settings, world=world, duration=duration, out=out)
 
@@ -121,7 +122,8 @@ def mapper(
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
     settings = settings_from(config, map_flags, mapper_flags, network, http)
     with running_service(), kernel_cache():
-        with held_signals():
+        with loading():
+            load_numba()
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
 
@@ -165,7 +167,7 @@ def simulate(
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
     with running_service(interrupted=0 if out is None else INTERRUPTED):
-        with held_signals():
+        with loading():
             from ogm_services.simulator import record, run_simulator
         if out is None:
             run_simulator(settings.network, options)
@@ -202,7 +204,7 @@ def replay(
     factor = _speed(speed)
     settings = settings_from(config, network)
     with running_service(interrupted=INTERRUPTED):
-        with held_signals():
+        with loading():
             from ogm_services.replay import run_replay
         run_replay(
             log,
@@ -245,7 +247,8 @@ def build(
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
     settings = settings_from(config, map_flags)
     with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
-        with held_signals():
+        with loading():
+            load_numba()
             from ogm_services.build import run_build
         run_build(
             log,

@@ -82,11 +82,11 @@ def run_replay(
     with open_session(network.for_client()) as session, ExitStack() as robots:
         replay = _Replay(session, network.map_name, robots)
         pace = _Pace(speed)
-        with reader() as messages, progress_bar("replaying", total, counted=True) as bar:
+        with reader() as messages, progress_bar("replaying", total, counted=True) as show:
             for done, message in enumerate(messages, 1):
                 pace.wait_for(message.message.stamp)
                 replay.publish(message)
-                bar.at(done)
+                show(done)
         typer.echo(f"{log}: {replay.finish()}" + _passed_over(messages))
 
 

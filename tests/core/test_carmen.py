@@ -8,15 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from log_lines import flaser, odom, parsed, robotlaser
+from log_lines import flaser, odom, parsed, parsed_twice, robotlaser, same
 from ogm_core.carmen import CarmenLog
 from ogm_core.carmen_mount import mount_of_laser
+from ogm_core.decimals import read_decimals
 from ogm_core.types import IDENTITY, Pose
 
 
 def read(*lines, **options):
     """(messages, complaints) of the lines of a log."""
-    return parsed(CarmenLog(**options).parse_line, *lines)
+    quick = CarmenLog(**options, decimals=read_decimals)
+    return parsed_twice(CarmenLog(**options).parse_line, quick.parse_line, *lines)
 
 
 @pytest.mark.parametrize(("beams", "degrees"), [(180, 1.0), (181, 1.0), (360, 0.5), (361, 0.5)])
@@ -246,3 +248,34 @@ def test_any_line_is_read_or_refused_as_malformed(line, changes, dropped):
     assert len(messages) + len(complaints) + log.unread.total() <= 1
     mount = mount_of_laser([b" ".join(tokens), odom(), PARAMETER], CarmenLog(mount=IDENTITY))
     assert all(map(math.isfinite, mount))
+
+
+@pytest.mark.parametrize("text", [flaser([1.5] * 180), robotlaser([1.5, 2, 81.83], remissions=[7, 8])])
+def test_plain_ranges_are_read_at_once(text):
+    read_of = []
+
+    def decimals(text, count, *, commas=False):
+        read_of.append((count, text[:3]))
+        return read_decimals(text, count, commas=commas)
+
+    scan = CarmenLog(decimals=decimals).parse_line(text).message
+    assert read_of == [(scan.ranges.size, b"1.5")]
+    assert same(CarmenLog().parse_line(text), CarmenLog(decimals=read_decimals).parse_line(text))
+
+
+@pytest.mark.parametrize("form", [flaser, robotlaser])
+@pytest.mark.parametrize(
+    "odd", ["1e1", "+1", "01", ".5", "1.", "-0", "nan", "inf", "1.234567890123456789", "1_0", "x"]
+)
+@pytest.mark.parametrize("at", [0, 179])
+def test_odd_ranges_are_read_as_they_always_were(form, odd, at):
+    ranges = [2.5] * 180
+    ranges[at] = odd
+    read(form(ranges))
+    read(form(ranges).replace(b" ", b"\t"), form(ranges)[:-20])
+
+
+@pytest.mark.parametrize("count", ["0180", "179", "181", "180.0", "0", "-180", "200001", "9999999999"])
+def test_a_count_that_is_wrong_is_told_as_it_always_was(count):
+    for form in (flaser, robotlaser):
+        read(form([2.5] * 180).replace(b" 180 ", f" {count} ".encode()))

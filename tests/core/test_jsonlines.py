@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from log_lines import POSE, SCAN, line, parsed, same
+from log_lines import POSE, SCAN, line, parsed_twice, same
+from ogm_core.decimals import read_decimals
 from ogm_core.jsonlines import parse_line, to_line
 from ogm_core.recordings import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
@@ -19,14 +20,20 @@ from ogm_core.types import Pose, PoseStamped, Scan
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
+def read(*lines, **options):
+    """(messages, complaints) of the lines of a log."""
+    careful = partial(parse_line, **options)
+    return parsed_twice(careful, partial(careful, decimals=read_decimals), *lines)
+
+
 def test_a_pose_line_is_read():
-    messages, complaints = parsed(parse_line, line(POSE))
+    messages, complaints = read(line(POSE))
     assert messages == [RecordedPose("r1", PoseStamped(10, Pose(1.0, 2.0, 0.5), 1, "a"))]
     assert complaints == []
 
 
 def test_a_scan_line_is_read():
-    [scan], _ = parsed(parse_line, line(SCAN, mount=[0.1, 0.2, 0.3], pose=[1, 2, 3], time_increment=1e-4))
+    [scan], _ = read(line(SCAN, mount=[0.1, 0.2, 0.3], pose=[1, 2, 3], time_increment=1e-4))
     assert (scan.robot, scan.sensor) == ("r1", "front")
     message = scan.message
     assert (message.stamp, message.seq, message.run) == (20, 2, "")
@@ -80,7 +87,7 @@ def test_a_scan_line_is_read():
     ],
 )
 def test_a_malformed_line_is_named_and_passed_over(text, reason):
-    messages, complaints = parsed(parse_line, line(POSE), text, line(POSE))
+    messages, complaints = read(line(POSE), text, line(POSE))
     assert len(messages) == 2
     [(number, said)] = complaints
     assert number == 2
@@ -92,24 +99,24 @@ def test_every_missing_field_is_named(fields):
     optional = {"run"}
     for name in fields.keys() - optional:
         rest = {key: value for key, value in fields.items() if key != name}
-        messages, [(_, said)] = parsed(parse_line, line(rest))
+        messages, [(_, said)] = read(line(rest))
         assert messages == []
         assert said.startswith(f"{name}: ")
 
 
 def test_blank_lines_are_nothing_but_count_as_lines():
-    messages, complaints = parsed(parse_line, b"", b"  \t", line(POSE) + b"\r", b"x")
+    messages, complaints = read(b"", b"  \t", line(POSE) + b"\r", b"x")
     assert len(messages) == 1
     assert [number for number, _ in complaints] == [4]
 
 
 def test_numbers_beyond_float32_read_as_infinite():
-    [scan], _ = parsed(parse_line, line(SCAN, ranges=[1e39, -1e39, 3.4e38]))
+    [scan], _ = read(line(SCAN, ranges=[1e39, -1e39, 3.4e38]))
     np.testing.assert_array_equal(scan.message.ranges, np.array([np.inf, -np.inf, 3.4e38], np.float32))
 
 
 def test_max_beams_holds_for_logs_too():
-    messages, complaints = parsed(partial(parse_line, max_beams=4), line(SCAN))
+    messages, complaints = read(line(SCAN), max_beams=4)
     assert (messages, complaints) == ([], [(1, "ranges: 1 to 4 beams are needed, got 5")])
 
 
@@ -126,7 +133,7 @@ def test_a_line_reads_back_bit_for_bit(ranges, numbers, stamp, run):
     written = [RecordedPose("r", PoseStamped(stamp, pose, stamp, run)), RecordedScan("r", "s", scan)]
     lines = [to_line(message).encode() for message in written]
     assert not any(b"\n" in text for text in lines)
-    back, complaints = parsed(parse_line, *lines)
+    back, complaints = read(*lines)
     assert complaints == []
     assert len(back) == 2
     assert all(map(same, written, back))
@@ -137,7 +144,7 @@ def test_every_kind_of_float32_reads_back():
     ranges = bits.view(np.float32)
     ranges[np.isnan(ranges)] = np.nan
     scan = Scan(0, 0.0, 1e-6, 0.0, 1.0, ranges)
-    [back], _ = parsed(parse_line, to_line(RecordedScan("r", "s", scan)).encode())
+    [back], _ = read(to_line(RecordedScan("r", "s", scan)).encode())
     assert back.message.ranges.tobytes() == ranges.tobytes()
 
 
@@ -146,3 +153,50 @@ def test_written_ranges_are_short_and_strict_json():
     text = to_line(RecordedScan("r", "s", scan))
     assert '"ranges":[0.1,5.123,"inf","-inf","nan"]' in text
     assert "pose" not in json.loads(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        line(SCAN, ranges=[1.5, 2, 30.25]),
+        line(SCAN, ranges=[1.5, "inf", "-inf", "nan"]),
+        line(SCAN, ranges=[1.5, 2])
+        .replace(b"[1.5, 2]", b"[ 1.5\t,2 ]")
+        .replace(b'"ranges":', b'"ranges" : '),
+    ],
+)
+def test_plain_ranges_are_read_at_once(text):
+    begins = []
+
+    def decimals(text, count, *, commas=False):
+        assert commas
+        begins.append((count, text.strip()[:3]))
+        return read_decimals(text, count, commas=commas)
+
+    fields = parse_line(text, decimals=decimals).message
+    assert begins == [(fields.ranges.size, b"1.5")]
+    assert same(parse_line(text), parse_line(text, decimals=read_decimals))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        line(SCAN, other={"ranges": [3]}),
+        line({**SCAN, "other": {"ranges": [3]}}).replace(b'"ranges": [1.1', b'"others": [1.1'),
+        line(SCAN, ranges=[1]).replace(b"[1]", b'[1], "ranges": [2, 3]'),
+        line(SCAN, ranges=[1]).replace(b"[1]", b'[1], "r\\u0061nges": [2, 3]'),
+        line(SCAN, run='"ranges": [1]'),
+        line(SCAN, ranges=[1]).replace(b'"ranges"', b'{"ranges"'),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[1]]"),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[1\v]"),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[1 2]"),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[1,]"),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[01]"),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[nan]"),
+        line(SCAN, ranges=[1], range_max=-1),
+        line(SCAN, ranges=[1]) + b"}",
+        line(POSE, ranges=[1]),
+    ],
+)
+def test_odd_ranges_are_read_as_they_always_were(text):
+    read(text)

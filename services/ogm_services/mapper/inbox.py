@@ -34,6 +34,14 @@ class _Load:
     poses: int = 0
     pose_size: int = 0
 
+    def add_scan(self, source: Source, item: Item) -> None:
+        queue = self.scans.get(source)
+        if queue is None:
+            queue = self.scans[source] = deque()
+        queue.append(item)
+        self.count += 1
+        self.size += len(item.payload)
+
     def takes_poses(self) -> bool:
         return self.poses < MAX_POSES and self.pose_size < MAX_BYTES
 
@@ -60,9 +68,7 @@ class Inbox:
                 load.poses += 1
                 load.pose_size += len(item.payload)
             elif item.source is not None:
-                load.scans.setdefault(item.source, deque()).append(item)
-                load.count += 1
-                load.size += len(item.payload)
+                load.add_scan(item.source, item)
             self._items.append(item)
             gone = []
             while load.count > self._max_scans or (load.size > MAX_BYTES and load.count > 1):

@@ -71,7 +71,7 @@ class Ledger:
     def pose_received(self, robot: str) -> None:
         """Count a pose at its arrival."""
         with self._lock:
-            self._robots.setdefault(robot, _Robot())
+            self._robot(robot)
             self._poses["received"] += 1
 
     def pose_refused(self, reason: Literal["malformed", "late"]) -> None:
@@ -87,7 +87,7 @@ class Ledger:
     def located(self, robot: str, stamp: int, pose: Pose) -> None:
         """Note where a robot's base was last said to be."""
         with self._lock:
-            entry = self._robots.setdefault(robot, _Robot())
+            entry = self._robot(robot)
             entry.stamp, entry.pose = stamp, pose
 
     def scan_received(self, robot: str, sensor: str) -> None:
@@ -127,5 +127,15 @@ class Ledger:
                 "robots": {name: robot.status() for name, robot in self._robots.items()},
             }
 
+    def _robot(self, robot: str) -> _Robot:
+        entry = self._robots.get(robot)
+        if entry is None:
+            entry = self._robots[robot] = _Robot()
+        return entry
+
     def _sensor(self, robot: str, sensor: str) -> _Sensor:
-        return self._robots.setdefault(robot, _Robot()).sensors.setdefault(sensor, _Sensor())
+        sensors = self._robot(robot).sensors
+        entry = sensors.get(sensor)
+        if entry is None:
+            entry = sensors[sensor] = _Sensor()
+        return entry

@@ -59,7 +59,7 @@ class Mapper:
 
     def add_pose(self, name: str, message: PoseStamped) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
-        robot = self._robots.setdefault(name, _Robot())
+        robot = self._robot(name)
         if message.run not in robot.runs:
             robot.runs.add(message.run)
             self._give_up(name, robot)
@@ -77,7 +77,7 @@ class Mapper:
 
     def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
-        robot = self._robots.setdefault(name, _Robot())
+        robot = self._robot(name)
         self._ledger.scan_taken(name, sensor, scan.run, scan.seq)
         if self._is_duplicate(robot, sensor, scan):
             self._drop(name, sensor, "duplicate")
@@ -94,7 +94,7 @@ class Mapper:
 
     def heard(self, name: str, now: float) -> None:
         """Note that any message of a robot has arrived, at `now`, s."""
-        self._robots.setdefault(name, _Robot()).heard = now
+        self._robot(name).heard = now
 
     def expire(self, now: float, pose_wait: float) -> None:
         """Drop the waiting scans of every robot that was not heard for `pose_wait` seconds."""
@@ -106,6 +106,12 @@ class Mapper:
         """Drop every waiting scan: no pose will come any more."""
         for name, robot in self._robots.items():
             self._give_up(name, robot)
+
+    def _robot(self, name: str) -> _Robot:
+        robot = self._robots.get(name)
+        if robot is None:
+            robot = self._robots[name] = _Robot()
+        return robot
 
     @staticmethod
     def _is_duplicate(robot: _Robot, sensor: str, scan: Scan) -> bool:

@@ -6,6 +6,7 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import lru_cache
 
 import zenoh
 
@@ -18,6 +19,8 @@ from ogm_services.mapper.inbox import Inbox, Item
 from ogm_services.mapper.ledger import Ledger
 from ogm_services.queryables import Queryables
 
+MAX_SOURCES = 1000
+"""Keys of messages whose sources are remembered; reading one anew does no harm."""
 QUERY_THREADS = 4
 TRUTH_TIMEOUT = 0.5
 """How long simulators may take to tell their world, s."""
@@ -41,6 +44,7 @@ class ZenohSide:
     def __init__(self, session: zenoh.Session, keys: MapKeys, inbox: Inbox, ledger: Ledger) -> None:
         self._session = session
         self._keys = keys
+        self._source_of = lru_cache(MAX_SOURCES)(keys.source_of)
         self._inbox = inbox
         self._ledger = ledger
         self._complaints = LimitedLog(log)
@@ -106,7 +110,7 @@ class ZenohSide:
         self._declared.close()
 
     def _received(self, sample: zenoh.Sample) -> None:
-        source = self._keys.source_of(str(sample.key_expr))
+        source = self._source_of(str(sample.key_expr))
         if source is None or sample.kind != zenoh.SampleKind.PUT:
             self._ledger.ignored()
             return
