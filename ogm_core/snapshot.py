@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
@@ -23,6 +24,12 @@ class CellSource(Protocol):
 
     def dense(self) -> Cells:
         """All of them."""
+
+    def known_cells(self) -> int:
+        """How many of them were ever updated."""
+
+    def value_counts(self) -> NDArray[np.int64]:
+        """How often each int16 cell but 0, unknown, occurs, shape (65536,), by its bits."""
 
     def png(self, model: LogOdds, encoder: Encoder) -> bytes:
         """PNG of what `encoder` draws of them, north up; there is at least one cell."""
@@ -65,6 +72,13 @@ class MapSnapshot:
     def empty(self) -> bool:
         """Whether there is nothing to draw."""
         return self.width * self.height == 0
+
+    @property
+    def known_cells(self) -> int:
+        """How many cells were ever updated."""
+        if isinstance(self.stored, np.ndarray):
+            return int(np.count_nonzero(self.model.known(self.stored)))
+        return self.stored.known_cells()
 
     @property
     def resolution(self) -> float:

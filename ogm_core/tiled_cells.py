@@ -52,6 +52,23 @@ class TiledCells:
                 self._dense = self._laid_out(self._rect)
             return self._dense
 
+    def known_cells(self) -> int:
+        """How many cells were ever updated, counted tile by tile: nothing is laid out."""
+        numbers, count = self.tiles.numbers, 0
+        for tiles, _, rows in self.tiles.find(numbers[numbers > 0]):
+            used = tiles if len(rows) == len(tiles) else tiles[rows]
+            # As integers: a known zero of float64 cells is stored as -0.0 (see ogm_core.logodds).
+            count += int(np.count_nonzero(used.view(f"i{used.itemsize}")))
+        return count
+
+    def value_counts(self) -> NDArray[np.int64]:
+        """How often each stored int16 cell occurs, shape (65536,), by its bits; not counted is 0, unknown."""
+        numbers, counts = self.tiles.numbers, np.zeros(2**16, np.int64)
+        for tiles, _, rows in self.tiles.find(numbers[numbers > 0]):
+            _count_values(tiles, rows, counts)
+        counts[0] = 0
+        return counts
+
     def png(self, model: LogOdds, encoder: Encoder) -> bytes:
         """PNG of what `encoder` draws, north up; there is at least one cell."""
         if self.dtype != np.int16:
@@ -93,3 +110,11 @@ def _lay_out(
         for r in range(max(0, -rows[k]), min(TILE, height - rows[k])):
             for c in range(west, east):
                 dense[rows[k] + r, column + c] = tiles[which[k], TILE * r + c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count_values(tiles: NDArray[np.int16], which: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+    """Add to `counts`, by a cell's bits, how often each occurs in `tiles[which]`."""
+    for k in range(len(which)):
+        for c in range(TILE * TILE):
+            counts[np.uint16(tiles[which[k], c])] += 1

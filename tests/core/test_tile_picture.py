@@ -62,6 +62,10 @@ def test_pictures_of_a_map_that_grows_in_all_directions(model, bounds):
             continue
         snap, cells = grid.snapshot(), grid._store.read(grid.rect)
         assert (snap.revision, snap.epoch) == (grid.revision, grid.epoch)
+        assert snap.known_cells == np.count_nonzero(model.known(cells))
+        if model.cells == "int16":
+            counts = np.bincount(cells[cells != 0].view(np.uint16), minlength=2**16)
+            assert np.array_equal(snap.stored.value_counts(), counts)
         for palette in list(PALETTES)[: 1 + k % 2]:
             assert np.array_equal(pixels(encode_png(snap, palette)), drawn(model, cells, palette))
         if k % 10 == 0:

@@ -38,6 +38,7 @@ KERNELS = (
     run_coding.code_tiles,
     run_coding.join_rows,
     tiled_cells._lay_out,
+    tiled_cells._count_values,
 )
 
 
