@@ -56,7 +56,7 @@ clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-KERNELS := $(addprefix ogm_core/,lattice.py logodds.py beams.py cell_updates.py bresenham.py dda.py star.py sector.py judge.py decimals.py)
+KERNELS := $(wildcard ogm_core/*.py)
 
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
 $(VENV)/.kernels: $(KERNELS) | $(BIN)/python

@@ -9,6 +9,8 @@ from ogm_core.lattice import CellRect
 from ogm_core.logodds import Cells
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.strips import StripStore, tiles_met
+from ogm_core.tile_copies import TileCopies, copy_tiles
+from ogm_core.tiled_cells import Pictures, TiledCells
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 
@@ -23,6 +25,8 @@ class OccupancyGrid:
         self.settings = settings
         self.model = settings.model
         self.lattice, self.bounds = settings.lattice()
+        self._copies: TileCopies | None = None
+        self._pictures: Pictures = {}
         self.reset(epoch)
 
     def reset(self, epoch: str) -> None:
@@ -32,7 +36,7 @@ class OccupancyGrid:
         self.stamp: int | None = None
         self.cell_updates = 0
         self._known: CellRect | None = None
-        self._store = StripStore(self.bounds or CellRect(0, 0, 0, 0), self.model.dtype)
+        self._begin_store(StripStore(self.bounds or CellRect(0, 0, 0, 0), self.model.dtype))
 
     @property
     def nbytes(self) -> int:
@@ -68,7 +72,7 @@ class OccupancyGrid:
         if rows:
             ix, iy = columns[0], rows[0]
             self._known = CellRect(ix, iy, columns[-1] - ix + 1, rows[-1] - iy + 1)
-        self._store = store
+        self._begin_store(store)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Add a scan taken at the sensor's `pose` in the map frame; return the number of cell updates.
@@ -90,9 +94,13 @@ class OccupancyGrid:
         return updates
 
     def snapshot(self) -> MapSnapshot:
-        """A copy of what is served, with the identity of its revision."""
+        """A copy of what is served, with the identity of its revision.
+
+        Only tiles that were written since the last snapshot are copied.
+        """
+        self._copies = copy_tiles(self._store, self.revision, self._copies)
         return MapSnapshot(
-            cells=self._store.read(self.rect),
+            stored=TiledCells(self._copies, self.rect, self.model.dtype, self._pictures),
             model=self.model,
             lattice=self.lattice,
             offset=(self.rect.ix, self.rect.iy),
@@ -100,6 +108,12 @@ class OccupancyGrid:
             revision=self.revision,
             stamp=self.stamp,
         )
+
+    def _begin_store(self, store: StripStore) -> None:
+        """Take cells that have nothing to do with those of earlier snapshots."""
+        self._store = store
+        self._copies = None
+        self._pictures = {}
 
     def _update(self, evidence: Evidence) -> int:
         updated = evidence.extent()

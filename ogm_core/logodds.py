@@ -158,6 +158,10 @@ class LogOdds:
         steps = np.clip(np.rint((log_odds - self.l0) / self.step), *self._clamps_in_steps)
         return np.where(known, 2.0 * steps + 1.0, 0.0).astype(np.int16)
 
+    def table(self, encoder: Encoder) -> NDArray[Any]:
+        """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
+        return _table(self, encoder)
+
     def encode(self, cells: Cells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
         encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
@@ -166,7 +170,7 @@ class LogOdds:
             if cells.dtype == np.float64:
                 encoded[band] = encoder(self.probability(part), self.known(part))
             else:
-                np.take(_table(self, encoder), part.view(np.uint16), out=encoded[band], mode="clip")
+                np.take(self.table(encoder), part.view(np.uint16), out=encoded[band], mode="clip")
         return encoded
 
 

@@ -44,7 +44,11 @@ def encode_png(snap: MapSnapshot, palette: str = "ros") -> bytes:
         MapEmpty: there is nothing to draw.
         BadParameter: no such palette.
     """
-    return write_png(_picture(snap, palette))
+    if isinstance(snap.stored, np.ndarray):
+        return write_png(_picture(snap, palette))
+    encoder = _chosen(PALETTES, "palette", palette)
+    _check_not_empty(snap)
+    return snap.stored.png(snap.model, encoder)
 
 
 def encode_pgm(snap: MapSnapshot, palette: str = "ros") -> bytes:

@@ -4,6 +4,7 @@ Source: W3C, Portable Network Graphics (PNG) Specification, 3rd edition, section
 """
 
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 from isal import isal_zlib
@@ -21,11 +22,17 @@ def write_png(grey: NDArray[np.uint8]) -> bytes:
     rows = np.empty((height, width + 1), np.uint8)
     rows[:, 0] = 0  # every row begins with its filter: none
     rows[:, 1:] = grey
+    return png_of(width, height, [isal_zlib.compress(rows, _LEVEL)])
+
+
+def png_of(width: int, height: int, pixels: Sequence[bytes]) -> bytes:
+    """PNG file, 8-bit greyscale, of a zlib stream, in pieces, of its rows, each behind a filter byte."""
     header = struct.pack(">IIBBBBB", width, height, _DEPTH, _GREY, 0, 0, 0)
-    pixels = isal_zlib.compress(rows, _LEVEL)
-    return b"".join((SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", pixels), *_chunk(b"IEND", b"")))
+    return b"".join((SIGNATURE, *_chunk(b"IHDR", [header]), *_chunk(b"IDAT", pixels), *_chunk(b"IEND", [])))
 
 
-def _chunk(kind: bytes, data: bytes) -> tuple[bytes, ...]:
-    check = isal_zlib.crc32(data, isal_zlib.crc32(kind))
-    return struct.pack(">I", len(data)), kind, data, struct.pack(">I", check)
+def _chunk(kind: bytes, data: Sequence[bytes]) -> tuple[bytes, ...]:
+    check = isal_zlib.crc32(kind)
+    for piece in data:
+        check = isal_zlib.crc32(piece, check)
+    return struct.pack(">I", sum(map(len, data))), kind, *data, struct.pack(">I", check)

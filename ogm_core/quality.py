@@ -99,15 +99,17 @@ def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[Plac
 
 def _known_probabilities(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Every probability of the known cells once, and how many have it."""
-    cells = snapshot.cells
-    if cells.dtype == np.int16:
-        counts = np.zeros(2**16, np.int64)
-        for band in row_bands(cells):
-            counts += np.bincount(cells[band].view(np.uint16).ravel(), minlength=2**16)
-        values = np.arange(2**16, dtype=np.uint16).view(np.int16)
-        counts[0] = 0
-    else:
+    if snapshot.model.dtype != np.int16:
+        cells = snapshot.cells
         values, counts = np.unique(cells[snapshot.model.known(cells)], return_counts=True)
+        return snapshot.model.probability(values), counts
+    values = np.arange(2**16, dtype=np.uint16).view(np.int16)
+    if not isinstance(snapshot.stored, np.ndarray):
+        return snapshot.model.probability(values), snapshot.stored.value_counts()
+    counts = np.zeros(2**16, np.int64)
+    for band in row_bands(snapshot.stored):
+        counts += np.bincount(snapshot.stored[band].view(np.uint16).ravel(), minlength=2**16)
+    counts[0] = 0
     return snapshot.model.probability(values), counts
 
 

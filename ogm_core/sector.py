@@ -54,7 +54,7 @@ def _row(y: float, fv: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ends_of(rays: NDArray[np.float64], fv: float) -> NDArray[np.float64]:
-    """Rows where the outlines pass the rays, shape (4, n): inner, outer after r; inner, outer before r + 1."""
+    """Rows where inner and outer outline leave ray r, and where they come to ray r + 1; shape (4, n)."""
     n = rays.shape[1] - 1
     rows = np.empty((4, n))
     for r in range(n):

@@ -1,26 +1,50 @@
 """A copy of a map at one revision: what readers get, cut and shrunk before it is encoded."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
-from ogm_core.logodds import Cells, LogOdds
+from ogm_core.logodds import Cells, Encoder, LogOdds
 from ogm_core.palettes import OCCUPIED, trinary
+
+
+class CellSource(Protocol):
+    """Stored cells that are not yet one array, [iy, ix], row 0 south; they never change."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+
+    def __getitem__(self, part: tuple[slice, slice]) -> Cells:
+        """The cells of some rows and columns."""
+
+    def dense(self) -> Cells:
+        """All of them."""
+
+    def known_cells(self) -> int:
+        """How many of them were ever updated."""
+
+    def value_counts(self) -> NDArray[np.int64]:
+        """How often each int16 cell but 0, unknown, occurs, shape (65536,), by its bits."""
+
+    def png(self, model: LogOdds, encoder: Encoder) -> bytes:
+        """PNG of what `encoder` draws of them, north up; there is at least one cell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSnapshot:
     """Stored cells of a rectangle of the map, and what is needed to read them.
 
-    `cells` is [iy, ix], shape (height, width), row 0 south, as `model` stores them. `offset` is the
-    lower-left cell (ix, iy). `stamp` is that of the newest integrated scan, ns since the Unix epoch, None if
-    there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
+    `stored` is [iy, ix], shape (height, width), row 0 south, as `model` stores them: an array, or what makes
+    one. `offset` is the lower-left cell (ix, iy). `stamp` is that of the newest integrated scan, ns since the
+    Unix epoch, None if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
     """
 
-    cells: Cells
+    stored: Cells | CellSource
     model: LogOdds
     lattice: Lattice
     offset: tuple[int, int]
@@ -30,19 +54,31 @@ class MapSnapshot:
     factor: int = 1
 
     @property
+    def cells(self) -> Cells:
+        """The stored cells as one array."""
+        return self.stored if isinstance(self.stored, np.ndarray) else self.stored.dense()
+
+    @property
     def width(self) -> int:
         """Columns of `cells`."""
-        return int(self.cells.shape[1])
+        return int(self.stored.shape[1])
 
     @property
     def height(self) -> int:
         """Rows of `cells`."""
-        return len(self.cells)
+        return int(self.stored.shape[0])
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing to draw."""
-        return self.cells.size == 0
+        return self.width * self.height == 0
+
+    @property
+    def known_cells(self) -> int:
+        """How many cells were ever updated."""
+        if isinstance(self.stored, np.ndarray):
+            return int(np.count_nonzero(self.model.known(self.stored)))
+        return self.stored.known_cells()
 
     @property
     def resolution(self) -> float:
@@ -95,7 +131,7 @@ class MapSnapshot:
         right = _divided_up(part.ix + part.width - self.rect.ix, self.factor)
         top = _divided_up(part.iy + part.height - self.rect.iy, self.factor)
         offset = self.offset[0] + left * self.factor, self.offset[1] + bottom * self.factor
-        return replace(self, cells=self.cells[bottom:top, left:right], offset=offset)
+        return replace(self, stored=self.stored[bottom:top, left:right], offset=offset)
 
     def shrink(self, max_size: int) -> "MapSnapshot":
         """The map with square blocks of cells in place of cells, by the smallest whole factor that fits.
@@ -112,7 +148,7 @@ class MapSnapshot:
         factor = _divided_up(max(self.width, self.height), max_size)
         if factor <= 1:
             return self
-        return replace(self, cells=_blocks(self.model, self.cells, factor), factor=self.factor * factor)
+        return replace(self, stored=_blocks(self.model, self.cells, factor), factor=self.factor * factor)
 
     def _extent(self) -> Region:
         ix, iy, width, height = self.rect

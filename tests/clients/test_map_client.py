@@ -28,7 +28,7 @@ def test_a_map_arrives_as_it_was_served(mapper, client):
 
 def test_a_map_without_scans_has_no_stamp_and_no_cells(mapper, client):
     cells = np.empty((0, 0), np.int16)
-    mapper.snapshot = replace(mapper.snapshot, cells=cells, revision=0, stamp=None)
+    mapper.snapshot = replace(mapper.snapshot, stored=cells, revision=0, stamp=None)
     grid = client.get_map()
     assert (grid.width, grid.height, grid.revision, grid.stamp) == (0, 0, 0, None)
 

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -227,3 +228,52 @@ def test_quality_may_be_old_and_a_fresh_one_is_not(desk):
     fresh = desk.answers.quality_fields(fresh=True)
     assert (fresh["scans"], fresh["known_m2"], fresh["truth"]) == (1, 1.0, None)
     assert fresh["series"]["revision"] == []  # nobody has started the observer
+
+
+def test_who_comes_while_a_map_is_encoded_shares_the_next(desk, monkeypatch):
+    """Nobody gets a map that is older than his question, and nothing is encoded twice."""
+    desk.scan(2.0)
+    encode, entered, go_on = answers_module.encode_png, threading.Event(), threading.Event()
+
+    def slow(*arguments):
+        entered.set()
+        assert go_on.wait(10.0)
+        return encode(*arguments)
+
+    monkeypatch.setattr(answers_module, "encode_png", slow)
+    answers = []
+
+    def ask():
+        answers.append(desk.answers.map("png", {}))
+
+    threads = [threading.Thread(target=ask)]
+    threads[0].start()
+    assert entered.wait(10.0)
+    desk.scan(3.0)
+    threads += [threading.Thread(target=ask) for _ in range(8)]
+    for thread in threads[1:]:
+        thread.start()
+    deadline = time.monotonic() + 10.0
+    while desk.answers._cache._turns["png", ()].wanted < 9:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    # Neither the writer nor the status waits for an encoder.
+    desk.scan(3.5)
+    assert json.loads(desk.answers.status({}).body)["revision"] == 3
+    go_on.set()
+    for thread in threads:
+        thread.join(10.0)
+    assert [answer.meta["revision"] for answer in answers] == [1] + [3] * 8
+    assert len({id(answer) for answer in answers}) == 2
+    assert desk.encoded == ["png", "png"]
+    assert not desk.answers._cache._turns
+
+
+def test_an_old_map_does_not_push_out_a_newer_one(desk):
+    desk.scan(2.0)
+    old = desk.live.now
+    desk.scan(3.0)
+    newest = desk.answers.map("json", {})
+    desk.answers._cache.keep(("png", ()), old, newest)
+    assert desk.answers.map("json", {}) is newest
+    assert desk.answers._cache.find(("png", ()), old) is None

@@ -286,3 +286,36 @@ def test_a_new_scan_is_a_new_revision_and_etag(mapper):
     after = mapper.http.get("/map.json", headers={"If-None-Match": before.headers["etag"]})
     assert (after.status_code, json.loads(after.content)["revision"]) == (200, 4)
     assert after.headers["ogm-stamp"] == before.headers["ogm-stamp"]  # the largest integrated, not the last
+
+
+def test_a_map_that_is_sent_again_is_the_same_in_every_respect(cross):
+    """The first answer comes from a route, those after it from what is ready to be sent."""
+    for form in FORMATS:
+        for method in ("GET", "HEAD"):
+            for tag in ({}, {"If-None-Match": "*"}, {"If-None-Match": '"no"'}):
+                # A query that was not asked yet has nothing ready.
+                query = f"region=-9,-9,9,{9 + len(form)}.{len(tag)}{len(method)}{len(str(tag))}"
+                again = [cross.http.request(method, f"/map.{form}?{query}", headers=tag) for _ in range(3)]
+                seen = {
+                    (
+                        response.status_code,
+                        response.content,
+                        *(item for item in response.headers.multi_items() if item[0] != "date"),
+                    )
+                    for response in again
+                }
+                assert len(seen) == 1, (form, method, tag)
+
+
+def test_a_map_is_sent_again_only_as_long_as_it_does_not_change(mapper):
+    mapper.draw_cross()
+    first = mapper.http.get("/map.png")
+    assert mapper.http.get("/map.png").content == first.content
+    mapper.scan([1.0], pose=[0, 0, 0], at=9)
+    mapper.settle(received=4)
+    for _ in range(2):
+        after = mapper.http.get("/map.png", headers={"If-None-Match": first.headers["etag"]})
+        assert (after.status_code, after.headers["ogm-revision"]) == (200, "4")
+    mapper.http.post("/reset")
+    for _ in range(2):
+        assert mapper.http.get("/map.png").status_code == 404

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core import beams, bresenham, dda, judge, sector, star
+from ogm_core import beams, bresenham, dda, deflate, judge, run_coding, sector, spans, star, tiled_cells
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
+from ogm_core.map_files import PALETTES, encode_png
 from ogm_core.messages import decode_scan, encode_scan
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live_map import LiveMap
@@ -16,6 +17,7 @@ from ogm_services.mapper.service import OccupancyGrid, warm_up
 
 KERNELS = (
     beams.project,
+    beams.project_turned,
     beams.drop_outside,
     bresenham.extent,
     bresenham.touch_tiles,
@@ -23,15 +25,20 @@ KERNELS = (
     dda.extent,
     dda.touch_tiles,
     dda.update_cells,
-    star.wedges,
-    star.from_axis_to_axis,
-    sector.edges_of,
-    sector.box_of,
+    star.turned,
+    sector.see,
     sector.spans,
-    sector.extent,
-    sector.touch_tiles,
-    sector.update_cells,
+    spans.extent,
+    spans.touch_tiles,
+    spans.update_blocks,
+    spans.update_one_by_one,
     judge.agreement,
+    deflate._runs,
+    run_coding.count_runs,
+    run_coding.code_tiles,
+    run_coding.join_rows,
+    tiled_cells._lay_out,
+    tiled_cells._count_values,
 )
 
 
@@ -55,6 +62,9 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
     for odd in ([1.0], [math.nan], [math.nan, math.nan], [1.0, math.nan, 2.0]):
         live_map.integrate(Scan(0, 0.0, 0.1, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
         live_map.integrate(Scan(0, 0.0, 1.9, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
+        live_map.snapshot().crop(Region(0.0, 0.0, 1.0, 1.0))
+        for palette in PALETTES:
+            encode_png(live_map.snapshot(), palette)
     live_map.quality()
     assert compiled() == before
 

@@ -3,7 +3,8 @@
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from ogm_core.map_files import encode_json, encode_npz, encode_pgm, encode_png, 
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.answer import Answer, Parameters, UnknownName
 from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.live_map import Identity, LiveMap
 from ogm_services.mapper.observer import Observer
 
 CACHE_BYTES = 64 * 1024**2
@@ -73,14 +74,24 @@ class Answers:
             raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {form!r}")
         wanted = MAP_FORMATS[form]
         _check_names(given, wanted.parameters)
-        snapshot = self._map.snapshot()
+        asked = self._map.now
         key = (form, tuple(sorted(given.items())))
-        answer = self._cache.find(snapshot, key)
+        answer = self._cache.find(key, asked)
         if answer is None:
-            cut = _shrunk(_cropped(snapshot, given), given)
-            body = wanted.encode(cut, self._map_name, given)
-            answer = Answer(body, wanted.media_type, cut.meta())
-            self._cache.keep(snapshot, key, answer)
+            with self._cache.turn(key):
+                # Whoever had the turn before may have encoded a map that is new enough for this one too.
+                answer = self._cache.find(key, asked) or self._encoded(wanted, given, key)
+        return answer
+
+    def now(self) -> Identity:
+        """Epoch, revision and stamp of the map at this moment; waits for nobody."""
+        return self._map.now
+
+    def _encoded(self, wanted: _MapFormat, given: Parameters, key: object) -> Answer:
+        snapshot = self._map.snapshot()
+        cut = _shrunk(_cropped(snapshot, given), given)
+        answer = Answer(wanted.encode(cut, self._map_name, given), wanted.media_type, cut.meta())
+        self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
         return answer
 
     def cell(self, given: Parameters) -> Answer:
@@ -97,7 +108,7 @@ class Answers:
         reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
         reply |= {"log_odds": None, "probability": None}
         if 0 <= column < snapshot.width and 0 <= row < snapshot.height:
-            cells = snapshot.cells[row : row + 1, column : column + 1]
+            cells = snapshot.stored[row : row + 1, column : column + 1]
             if snapshot.model.known(cells).item():
                 log_odds = snapshot.model.log_odds(cells).item()
                 probability = snapshot.model.probability(cells).item()
@@ -136,26 +147,56 @@ class Answers:
 
 
 class _AnswerCache:
-    """Encoded answers of the newest revision."""
+    """Encoded answers of the newest revision that was encoded, and whose turn it is to encode.
+
+    An answer will do for whoever asked when the map was not newer. So readers who come while one is encoded
+    wait, and then one of them encodes for all: never two the same, and nobody gets a map older than his
+    question, however fast it changes.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._of: MapSnapshot | None = None
-        self._answers: dict[Any, Answer] = {}
+        self._of = Identity("", -1, None)
+        self._answers: dict[object, Answer] = {}
         self._size = 0
+        self._turns: dict[object, _Turn] = {}
 
-    def find(self, snapshot: MapSnapshot, key: object) -> Answer | None:
+    def find(self, key: object, asked: Identity) -> Answer | None:
         with self._lock:
-            return self._answers.get(key) if self._of is snapshot else None
+            new_enough = self._of.epoch == asked.epoch and self._of.revision >= asked.revision
+            return self._answers.get(key) if new_enough else None
 
-    def keep(self, snapshot: MapSnapshot, key: object, answer: Answer) -> None:
+    def keep(self, key: object, of: Identity, answer: Answer) -> None:
         size = len(answer.body) + len(repr(key))
         with self._lock:
-            if self._of is not snapshot or self._size + size > CACHE_BYTES:
-                self._of, self._answers, self._size = snapshot, {}, 0
+            if self._of.epoch == of.epoch and self._of.revision > of.revision:
+                return
+            if self._of != of or self._size + size > CACHE_BYTES:
+                self._of, self._answers, self._size = of, {}, 0
             if size <= CACHE_BYTES:
                 self._answers[key] = answer
                 self._size += size
+
+    @contextmanager
+    def turn(self, key: object) -> Iterator[None]:
+        """Wait until nobody else encodes what has this key."""
+        with self._lock:
+            turn = self._turns.setdefault(key, _Turn(threading.Lock()))
+            turn.wanted += 1
+        try:
+            with turn.lock:
+                yield
+        finally:
+            with self._lock:
+                turn.wanted -= 1
+                if not turn.wanted:
+                    del self._turns[key]
+
+
+@dataclass(slots=True)
+class _Turn:
+    lock: threading.Lock
+    wanted: int = 0
 
 
 def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:

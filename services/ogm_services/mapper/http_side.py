@@ -16,10 +16,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ogm_core.errors import BadParameter, OgmError
 from ogm_services.answer import Answer, Parameters
-from ogm_services.mapper.answers import MAP_FORMATS, Answers
+from ogm_services.mapper.answers import CACHE_BYTES, MAP_FORMATS, Answers
+from ogm_services.mapper.live_map import Identity
 from ogm_services.mapper.metrics import prometheus_text
 from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of, status_of
 
+READY_BYTES_BESIDES = 4096
+"""What a map that is ready to be sent takes besides its body, at most."""
 NO_STORE = {"Cache-Control": "no-store"}
 
 log = logging.getLogger(__name__)
@@ -60,6 +63,62 @@ class _NoStore:
         await self._app(scope, receive, send_marked)
 
 
+class _ReadyMaps:
+    """Maps that are ready to be sent again, byte for byte, as long as the map does not change.
+
+    As ASGI middleware it answers for them at once: on the event loop, without a thread, a lock or a route.
+    All of it belongs to the event loop.
+    """
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
+        self._of: Identity | None = None
+        self._ready: dict[tuple[str, bytes], _ReadyMap] = {}
+        self._size = 0
+
+    def around(self, app: ASGIApp) -> ASGIApp:
+        """The application behind."""
+
+        async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+            ready = None
+            if scope["type"] == "http" and scope["method"] in ("GET", "HEAD"):
+                ready = self._ready.get((scope["path"], scope["query_string"]))
+            if ready is None or self._of != self._answers.now():
+                await app(scope, receive, send)
+            else:
+                await ready.response_to(scope)(scope, receive, send)
+
+        return answer
+
+    def keep(self, request: Request, answer: Answer) -> Response:
+        """The response to a request for a map, kept if the map is still the same."""
+        ready, now, size = _ReadyMap(answer), self._answers.now(), len(answer.body) + READY_BYTES_BESIDES
+        if ready.of == now[:2]:
+            if self._of != now or self._size + size > CACHE_BYTES:
+                self._of, self._ready, self._size = now, {}, 0
+            self._ready[request.scope["path"], request.scope["query_string"]] = ready
+            self._size += size
+        return ready.response_to(request.scope)
+
+
+class _ReadyMap:
+    """The two responses that a map can be, with its body and without."""
+
+    def __init__(self, answer: Answer) -> None:
+        headers = _map_headers(answer)
+        self.of = headers["OGM-Epoch"], int(headers["OGM-Revision"])
+        self._etag = headers["ETag"]
+        self._whole = Response(answer.body, media_type=answer.media_type, headers=headers)
+        self._not_modified = Response(status_code=304, headers=headers)
+
+    def response_to(self, scope: Scope) -> Response:
+        """One of the two, as the request's validators want it; it may be sent any number of times."""
+        for name, value in scope["headers"]:
+            if name == b"if-none-match":
+                return self._not_modified if _matches(value.decode("latin-1"), self._etag) else self._whole
+        return self._whole
+
+
 def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
     """Make the application; nothing is computed before a request comes."""
     version = importlib.metadata.version("zenoh-ogm")
@@ -69,9 +128,11 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
         description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
         redoc_url=None,
     )
+    ready = _ReadyMaps(answers)
     app.add_middleware(_NoStore)
+    app.add_middleware(ready.around)
     for form, wanted in MAP_FORMATS.items():
-        handler, summary = _map_handler(answers, form), f"The map as {form.upper()}"
+        handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
         _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))
     _get(app, "/cell", _handler(answers.cell), "application/json", "One cell", ["x", "y"])
     _get(app, "/quality", _handler(answers.quality), "application/json", "The quality figures")
@@ -148,13 +209,10 @@ def _handler(answer: Callable[[Parameters], Answer]) -> Handler:
     return handle
 
 
-def _map_handler(answers: Answers, form: str) -> Handler:
+def _map_handler(answers: Answers, ready: _ReadyMaps, form: str) -> Handler:
     async def handle(request: Request) -> Response:
         answer = await run_in_threadpool(answers.map, form, _parameters_of(request))
-        headers = _map_headers(answer)
-        if _matches(request.headers.get("if-none-match"), headers["ETag"]):
-            return Response(status_code=304, headers=headers)
-        return Response(answer.body, media_type=answer.media_type, headers=headers)
+        return ready.keep(request, answer)
 
     return handle
 

@@ -4,9 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
-
-import numpy as np
+from typing import Any, NamedTuple, TypeVar, cast
 
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, quality_figures
@@ -23,13 +21,31 @@ FIGURES_PERIOD = 1.0
 _T = TypeVar("_T")
 
 
+class Identity(NamedTuple):
+    """Which map it is, and how far it has come."""
+
+    epoch: str
+    revision: int
+    stamp: int | None
+
+
+class _State(NamedTuple):
+    """What is told of a map without a look at its cells."""
+
+    identity: Identity
+    width: int
+    height: int
+    nbytes: int
+
+
 class LiveMap:
     """An `OccupancyGrid` with one writer and many readers.
 
     Who owns what: only the worker thread calls `integrate` and `reset`, and `_writing` is held while a kernel
-    runs or cells are copied out. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody
-    changes; `_reading` keeps them from making the same copy twice. Figures have locks of their own, so that
-    who waits for them holds up nobody else.
+    runs or tiles that have changed are copied out. After each change the writer replaces `_state`, a tuple
+    that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads) share the newest
+    snapshot, which nobody changes; `_reading` keeps them from making the same copy twice. Figures have locks
+    of their own, so that who waits for them holds up nobody else.
     """
 
     def __init__(self, grid: OccupancyGrid) -> None:
@@ -38,6 +54,7 @@ class LiveMap:
         self._writing = threading.Lock()
         self._reading = threading.Lock()
         self._snapshot: MapSnapshot | None = None
+        self._state = self._told()
         self._known_cells = _Figure()
         self._quality = _Figure()
 
@@ -45,6 +62,7 @@ class LiveMap:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
             updates = self._grid.integrate(scan, pose, sweep)
+            self._state = self._told()
             self._recent.append(PlacedScan(scan, pose, sweep))
             return updates
 
@@ -52,13 +70,17 @@ class LiveMap:
         """Writer: empty the map."""
         with self._writing:
             self._grid.reset(epoch)
+            self._state = self._told()
             self._recent.clear()
 
+    @property
+    def now(self) -> Identity:
+        """Epoch, revision and stamp of this moment; waits for nobody."""
+        return self._state.identity
+
     def identity(self) -> dict[str, Any]:
-        """Epoch, revision and stamp of this moment."""
-        grid = self._grid
-        with self._writing:
-            return {"epoch": grid.epoch, "revision": grid.revision, "stamp": grid.stamp}
+        """The same by name."""
+        return self.now._asdict()
 
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""
@@ -67,13 +89,12 @@ class LiveMap:
 
     def info(self) -> dict[str, Any]:
         """The status's `map_info`; known cells may be a second old."""
-        with self._writing:
-            rect, nbytes = self._grid.rect, self._grid.nbytes
+        state = self._state
         return {
             "known_cells": self._figure(self._known_cells, self._count_known),
-            "bytes": nbytes,
-            "width": rect.width,
-            "height": rect.height,
+            "bytes": state.nbytes,
+            "width": state.width,
+            "height": state.height,
             "resolution": self._grid.lattice.resolution,
         }
 
@@ -96,6 +117,11 @@ class LiveMap:
         figures["truth"] = None if world is None else truth_figures(snapshot, world)
         return figures
 
+    def _told(self) -> _State:
+        """The state of the grid; the writer's."""
+        grid, rect = self._grid, self._grid.rect
+        return _State(Identity(grid.epoch, grid.revision, grid.stamp), rect.width, rect.height, grid.nbytes)
+
     def _current_snapshot(self) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
         known = self._snapshot
@@ -104,8 +130,7 @@ class LiveMap:
         return known
 
     def _count_known(self) -> int:
-        snapshot = self.snapshot()
-        return int(np.count_nonzero(snapshot.model.known(snapshot.cells)))
+        return self.snapshot().known_cells
 
     def _figure(self, cached: "_Figure", compute: Callable[[], _T], world: World | None = None) -> _T:
         """The cached value, computed anew if the map or the world is another and the value is old enough."""

@@ -22,6 +22,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.keys import MapKeys
 from ogm_core.lattice import Region
+from ogm_core.map_files import encode_png
 from ogm_core.types import Pose, Scan
 from ogm_services.exit_codes import held_signals
 from ogm_services.mapper.answers import Answers
@@ -202,6 +203,7 @@ def warm_up(settings: GridSettings) -> None:
     scan = Scan(0, 0.0, 1.0, 0.0, side / 3, hit_and_no_return)
     scratch.integrate(scan, Pose(side / 2, side / 2, 0.0))
     scratch.quality()
+    encode_png(scratch.snapshot())
 
 
 def _bound_socket(host: str, port: int) -> socket.socket:
