@@ -52,20 +52,21 @@ def fixed_point(major: int, minor: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def steps_inside(
-    first: int, last: int, bias: int, step: int, start: int, sign: int, size: int, farthest: int
+    first: int, last: int, bias: int, step: int, start: int, sign: int, size: int, farthest: int, bits: int
 ) -> tuple[int, int]:
     """Narrow steps `first` ... `last` to those whose minor coordinate lies in [0, size).
 
-    The coordinate of step k is start + sign * s(k), and s(k) runs from 0 to `farthest`.
+    The coordinate of step k is start + sign * s(k), and s(k), which has `bits` behind the point, runs from 0
+    to `farthest`.
     """
     nearest_inside = -start if sign > 0 else start - size + 1
     farthest_inside = size - 1 - start if sign > 0 else start
     if farthest_inside < 0 or nearest_inside > farthest:
         return 1, 0
     if nearest_inside > 0:
-        first = max(first, -((bias - (nearest_inside << FRACTION_BITS)) // step))
+        first = max(first, -((bias - (nearest_inside << bits)) // step))
     if farthest_inside < farthest:
-        last = min(last, (((farthest_inside + 1) << FRACTION_BITS) - 1 - bias) // step)
+        last = min(last, (((farthest_inside + 1) << bits) - 1 - bias) // step)
     return first, last
 
 
@@ -81,10 +82,10 @@ def clip(
     if di >= dj:
         first = max(1, -i0 if si > 0 else i0 - width + 1)
         last = min(di, width - 1 - i0 if si > 0 else i0)
-        return steps_inside(first, last, bias, step, j0, sj, height, dj)
+        return steps_inside(first, last, bias, step, j0, sj, height, dj, FRACTION_BITS)
     first = max(1, -j0 if sj > 0 else j0 - height + 1)
     last = min(dj, height - 1 - j0 if sj > 0 else j0)
-    return steps_inside(first, last, bias, step, i0, si, width, di)
+    return steps_inside(first, last, bias, step, i0, si, width, di, FRACTION_BITS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -202,10 +203,9 @@ def touch_tiles(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def last_in_strip(k: int, last: int, left: int, bias: int, step: int) -> int:
+def last_in_strip(k: int, last: int, left: int, bias: int, step: int, bits: int) -> int:
     """Last step, up to `last`, whose minor coordinate is at most `left` cells beyond that of step `k`."""
-    last = min(last, k + _LONGEST_PIECE)
-    beyond = (((bias + k * step) >> FRACTION_BITS) + left + 1) << FRACTION_BITS
+    beyond = (((bias + k * step) >> bits) + left + 1) << bits
     return last if bias + last * step < beyond else (beyond - 1 - bias) // step
 
 
@@ -260,7 +260,7 @@ def update_cells(
                 s = (origin + k * turn) >> FRACTION_BITS
                 i = i0 + s
                 left = TILE - 1 - (i & (TILE - 1)) if si > 0 else i & (TILE - 1)
-                end = last_in_strip(k, last_free, left, bias, step)
+                end = min(k + _LONGEST_PIECE, last_in_strip(k, last_free, left, bias, step, FRACTION_BITS))
                 acc = origin + (k - 1) * turn
                 base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)
                 for _ in range(end - k + 1):

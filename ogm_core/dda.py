@@ -1,101 +1,166 @@
-"""Traversal `dda`: every cell that a beam passes through (Amanatides & Woo 1987), in closed form.
+"""Traversal `dda`: every cell that a beam passes through, one after the other (Amanatides & Woo 1987).
 
-With the major axis the one along which the beam is longer, the beam climbs by `slope` <= 1 cells from one
-column of the major axis to the next. q counts columns from the sensor's, m(q) is the row in which the beam
-enters column q, both counted from the sensor's cell, so column q holds rows m(q) to m(q + 1):
+Each step goes on by one column or by one row, so after t steps both add up to t. The beam is then in the cell
+whose falling diagonal it crosses, at a height x(t) that grows evenly:
 
-    m       .  .  .  .  +--+        column 0 holds what the beam passes before its first column edge, less the
-    2       .  .  .  +--+##|        sensor's own cell; the last column ends at the end cell
-    1       .  +--+--+##+--+
-    0       S##+##+##+--+  .        m(q) = floor(side + (gap + q - 1) slope)
-            q  1  2  3  4
+    +-----+-----+-----+
+    |     |     | \\ * |         *  the beam        \\  falling diagonals, t = 1, 2, 3
+    |     | \\   |  *\\ |
+    +-----+---\\-*-----+         x(t) = v + (t + 1 - u - v) |dv| / (|du| + |dv|)
+    | \\   | * * \\     |         row m(t) = floor(x(t))
+    |  *\\*|     |     |         column  t - m(t)
+    +-----+-----+-----+
 
-where `gap` is the way to the first column edge and `side` the height at which the beam starts in its cell.
-As in ogm_core.bresenham, m(q) is an integer part in fixed point: neither a branch nor a rounding error piles
-up along the beam. An error of m displaces the place where the beam changes rows by the error over the slope,
-so the fraction takes all the bits that the beam's rise leaves; a rise of one row, which a slope of nearly 0
-may have, is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less
-than 1e-6 for every M below 2^20.
+where (u, v) is where the beam starts in its first cell and (du, dv) the vector to its end, both turned so that
+the beam goes to the upper right and is longer than it is high: what are rows here are columns for others.
+
+x is kept in fixed point, as in ogm_core.bresenham: there is no branch and no division per cell, and no error
+piles up. An error of x displaces the place where the beam changes rows by the error over the slope, so the
+fraction takes all the bits that the beam's rise leaves; a rise of one row, which a slope of nearly 0 may have,
+is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less than 1e-6
+for every M below 2^20.
 
 `beams` and `lines` are the rows of ogm_core.projection.Beams; cells are addressed as in ogm_core.strips.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED
-from ogm_core.bresenham import counted_from
+from ogm_core.bresenham import counted_from, last_in_strip, steps_inside
 from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
-from ogm_core.strips import TILE_BITS
+from ogm_core.strips import TILE, TILE_BITS
 
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""
-_BITS_OF_ONE_ROW = 41
-"""Enough to tell one column from the next, few enough for their number: M^2 < 2^41."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def staircase(
-    di: int, dj: int, gap_u: float, gap_v: float, du: float, dv: float
-) -> tuple[bool, int, int, int, int, int, int, int]:
+class Stairs(NamedTuple):
+    """A beam's way from its first cell: t counts the steps.
+
+    `along_i` says whether i is the major axis, `si` and `sj` are the signs of i and j, `columns` and `rows` the
+    cells to the end along the major and the minor axis. m(t) is the integer part of first + t * step, which
+    has `bits` behind the point. `stretch` is how many steps one column takes.
+    """
+
+    along_i: bool
+    si: int
+    sj: int
+    columns: int
+    rows: int
+    first: int
+    step: int
+    bits: int
+    stretch: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def staircase(di: int, dj: int, gap_u: float, gap_v: float, du: float, dv: float) -> Stairs:
     """What is needed to walk a beam by (du, dv), to the cell that is (di, dj) away.
 
     The edges of its first cell lie gap_u and gap_v ahead of its start, all in cells.
-
-    Returns whether i is the major axis, the signs of i and j, the columns and rows to the end cell, and m(1)
-    in fixed point, its step and the number of its fraction bits.
     """
     si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
     along_i = abs(du) >= abs(dv)
-    major, minor = (abs(di), abs(dj)) if along_i else (abs(dj), abs(di))
+    columns, rows = (abs(di), abs(dj)) if along_i else (abs(dj), abs(di))
     gap, rest = (gap_u, gap_v) if along_i else (gap_v, gap_u)
-    if major == 0 or minor == 0:
-        return along_i, si, sj, major, minor, 0, 0, 0
-    slope = abs(dv) / abs(du) if along_i else abs(du) / abs(dv)
-    if minor == 1:
-        # The one change of rows lies rest / slope ahead, in the column before number `after`.
-        after = int(min(max(math.ceil(rest / slope - gap), 0.0), float(major))) + 1
-        step = ((1 << _BITS_OF_ONE_ROW) + after - 1) // after
-        return along_i, si, sj, major, minor, step, step, _BITS_OF_ONE_ROW
-    bits = _BITS - math.frexp(float(minor))[1]
-    one = math.ldexp(1.0, bits)
-    return along_i, si, sj, major, minor, int((1.0 - rest + gap * slope) * one), int(slope * one), bits
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def rows_of_column(q: int, major: int, minor: int, first: int, step: int, bits: int) -> tuple[int, int]:
-    """First and last row that the beam updates in column q; none if first > last."""
-    low = min((first + (q - 1) * step) >> bits, minor) if q > 0 else 1
-    high = min((first + q * step) >> bits, minor) if q < major else minor
-    return low, high
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def span_inside(start: int, sign: int, size: int, farthest: int) -> tuple[int, int]:
-    """The steps k in 0 ... farthest for which start + sign * k lies in [0, size)."""
-    if sign > 0:
-        return max(0, -start), min(farthest, size - 1 - start)
-    return max(0, start - size + 1), min(farthest, start)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def inside(
-    window: CellRect, along_i: bool, i0: int, j0: int, si: int, sj: int, major: int, minor: int
-) -> tuple[int, int, int, int]:
-    """First and last column, lowest and highest row of a beam that lie in the window."""
-    if along_i:
-        first, last = span_inside(i0, si, window.width, major)
-        lowest, highest = span_inside(j0, sj, window.height, minor)
+    length, height = (abs(du), abs(dv)) if along_i else (abs(dv), abs(du))
+    steps = columns + rows
+    if steps == 0 or rows == 0:
+        return Stairs(along_i, si, sj, columns, rows, 0, 0, 0, 1.0)
+    rise = height / (length + height)
+    bits = _BITS - math.frexp(float(rows + 1))[1]
+    one = 1 << bits
+    if rows == 1:
+        # The one change of rows lies rest / slope ahead: there the number of steps is `change`.
+        ahead = min(max(np.ceil(rest * length / height - gap), 0.0), float(columns))
+        change = int(ahead) + 1
+        step = one // (steps + 1)
+        first = one - change * step
     else:
-        first, last = span_inside(j0, sj, window.height, major)
-        lowest, highest = span_inside(i0, si, window.width, minor)
-    return first, last, lowest, highest
+        start = 1.0 - rest + rise * (gap + rest - 1.0)
+        # Rounding must lead neither below row 0 nor anywhere else than to the end cell.
+        first = min(max(int(start * one), 0), one - 1)
+        last = int((start + steps * rise) * one)
+        last = min(max(last, rows * one + steps), (rows + 1) * one - 1)
+        step = (last - first) // steps
+    return Stairs(along_i, si, sj, columns, rows, first, step, bits, (length + height) / length)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def row_at(stairs: Stairs, t: int) -> int:
+    """m(t)."""
+    return (stairs.first + t * stairs.step) >> stairs.bits
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def last_in_column(stairs: Stairs, column: int) -> int:
+    """The last t with column t - m(t), or one farther back, for a beam without end."""
+    if stairs.rows == 0:
+        return column
+    t = int((column + 1) * stairs.stretch)
+    while t - row_at(stairs, t) > column:
+        t -= 1
+    while t + 1 - row_at(stairs, t + 1) <= column:
+        t += 1
+    return t
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clip(i0: int, j0: int, stairs: Stairs, width: int, height: int) -> tuple[int, int]:
+    """First and last step t >= 1 whose cells lie in [0, width) x [0, height); first > last if none."""
+    along_i, si, sj, columns, rows, first, step, bits, _ = stairs
+    i1 = i0 + si * (columns if along_i else rows)
+    j1 = j0 + sj * (rows if along_i else columns)
+    if min(i0, i1, j0, j1) >= 0 and max(i0, i1) < width and max(j0, j1) < height:
+        return 1, columns + rows
+    major, sign, size = (i0, si, width) if along_i else (j0, sj, height)
+    minor, sign_aside, size_aside = (j0, sj, height) if along_i else (i0, si, width)
+    nearest, farthest = (-major, size - 1 - major) if sign > 0 else (major - size + 1, major)
+    if nearest > columns or farthest < 0:
+        return 1, 0
+    begin = 1 if nearest <= 0 else last_in_column(stairs, nearest - 1) + 1
+    end = columns + rows if farthest >= columns else last_in_column(stairs, farthest)
+    return steps_inside(max(begin, 1), end, first, step, minor, sign_aside, size_aside, rows, bits)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _stairs_of(
+    beams: NDArray[np.int64], lines: NDArray[np.float64], b: int, window: CellRect
+) -> tuple[int, int, Stairs, int, int]:
+    """Start cell of beam `b`, its stairs, first and last step inside the window."""
+    i0, j0, i1, j1 = counted_from(window, beams, b)
+    stairs = staircase(i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b])
+    if beams[2, b] == SKIPPED or stairs.columns + stairs.rows == 0:
+        return i0, j0, stairs, 1, 0
+    first, last = clip(i0, j0, stairs, window.width, window.height)
+    return i0, j0, stairs, first, last
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _cell_at(i0: int, j0: int, stairs: Stairs, t: int) -> tuple[int, int]:
+    row = row_at(stairs, t)
+    if stairs.along_i:
+        return i0 + stairs.si * (t - row), j0 + stairs.sj * row
+    return i0 + stairs.si * row, j0 + stairs.sj * (t - row)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _last_in_strip(i: int, stairs: Stairs, t: int, last: int) -> int:
+    """The last step, up to `last`, in the same strip as step `t`, which is in column `i` of the map."""
+    left = TILE - 1 - (i & (TILE - 1)) if stairs.si > 0 else i & (TILE - 1)
+    row = row_at(stairs, t)
+    if stairs.along_i:
+        return last if t - row + left >= stairs.columns else min(last, last_in_column(stairs, t - row + left))
+    if row + left >= stairs.rows:
+        return last
+    return last_in_strip(t, last, left, stairs.first, stairs.step, stairs.bits)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -110,14 +175,14 @@ def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, i
         i1, j1, i0, j0 = beams[0, b], beams[1, b], beams[3, b], beams[4, b]
         if beams[2, b] == SKIPPED or (i1 == i0 and j1 == j0):
             continue
-        along_i, si, sj, major, minor, first, step, bits = staircase(
-            i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b]
-        )
-        low, high = rows_of_column(0, major, minor, first, step, bits)
-        q, m = (0, 1) if low <= high else (1, 0)
-        i, j = (i0 + si * q, j0 + sj * m) if along_i else (i0 + si * m, j0 + sj * q)
-        imin, imax = min(imin, i, i1), max(imax, i, i1)
-        jmin, jmax = min(jmin, j, j1), max(jmax, j, j1)
+        imin, imax = min(imin, i1), max(imax, i1)
+        jmin, jmax = min(jmin, j1), max(jmax, j1)
+        if imin <= i0 <= imax and jmin <= j0 <= jmax:
+            continue
+        stairs = staircase(i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b])
+        i, j = _cell_at(i0, j0, stairs, 1)
+        imin, imax = min(imin, i), max(imax, i)
+        jmin, jmax = min(jmin, j), max(jmax, j)
     if imax < imin:
         return 0, 0, 0, 0
     return imin, jmin, imax - imin + 1, jmax - jmin + 1
@@ -133,83 +198,22 @@ def touch_tiles(
 ) -> int:
     """Write `revision` into every tile that the beams will update, and return how many held 0 before.
 
-    Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Between two
-    tile edges of its major axis a beam climbs by at most 64 rows, so its lowest and highest row there tell
-    the tiles.
+    Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Within a
+    strip a beam goes from one row to the next, so it meets every tile from its first cell's to its last one's.
     """
     fresh = 0
     for b in range(beams.shape[1]):
-        if beams[2, b] == SKIPPED:
-            continue
-        i0, j0, i1, j1 = counted_from(window, beams, b)
-        along_i, si, sj, major, minor, first, step, bits = staircase(
-            i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b]
-        )
-        start, sign = (i0, si) if along_i else (j0, sj)
-        q, last, lowest, highest = inside(window, along_i, i0, j0, si, sj, major, minor)
-        while q <= last:
-            here = start + sign * q
-            end = min(q + (63 - (here & 63) if sign > 0 else here & 63), last)
-            low, high = rows_of_column(q, major, minor, first, step, bits)
-            if q == 0 and low > high:
-                low = 0 if end > 0 else low  # the beam leaves column 0 in the sensor's own row
-            if end > q:
-                high = rows_of_column(end, major, minor, first, step, bits)[1]
-            low, high = max(low, lowest), min(high, highest)
-            m = low
-            while m <= high:
-                tile = (
-                    (i0 + si * (q if along_i else m)) >> TILE_BITS,
-                    (j0 + sj * (m if along_i else q)) >> TILE_BITS,
-                )
-                if touched[tile] == 0:
-                    fresh += 1
-                touched[tile] = revision
-                m = high if m < high < m + 64 else m + 64
-            q = end + 1
+        i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
+        while t <= last:
+            i, j = _cell_at(i0, j0, stairs, t)
+            end = _last_in_strip(i, stairs, t, last)
+            strip, tile = i >> TILE_BITS, j >> TILE_BITS
+            last_tile = _cell_at(i0, j0, stairs, end)[1] >> TILE_BITS
+            for ty in range(min(tile, last_tile), max(tile, last_tile) + 1):
+                fresh += int(touched[strip, ty] == 0)
+                touched[strip, ty] = revision
+            t = end + 1
     return fresh
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _middle_columns(
-    i0: int,
-    j0: int,
-    si: int,
-    sj: int,
-    along_i: bool,
-    major: int,
-    minor: int,
-    first: int,
-    step: int,
-    bits: int,
-    cells: NDArray[Any],
-    column: NDArray[np.int64],
-    update: Update,
-) -> int:
-    """Update the columns between the first and the last of a beam that lies wholly inside; count the updates.
-
-    Each holds one row or two. A second one that is not there is the first once more, with an increment of
-    nothing: to do it costs less than to ask.
-    """
-    acc = first
-    low = begin = min(first >> bits, minor)
-    for q in range(1, major):
-        acc += step
-        high = min(acc >> bits, minor)
-        free = update.free * (high - low)
-        again = Update(free, update.occupied, update.lower, update.upper, update.prior)
-        if along_i:
-            base = column[np.uint64(i0 + si * q)]
-            one = np.uint64(base + ((j0 + sj * low) << TILE_BITS))
-            two = np.uint64(base + ((j0 + sj * high) << TILE_BITS))
-        else:
-            row = (j0 + sj * q) << TILE_BITS
-            one = np.uint64(column[np.uint64(i0 + si * low)] + row)
-            two = np.uint64(column[np.uint64(i0 + si * high)] + row)
-        cells[one] = add_free(cells[one], update)
-        cells[two] = add_free(cells[two], again)
-        low = high
-    return major - 1 + low - begin
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -224,41 +228,35 @@ def update_cells(
     """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
 
     Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
-    never updated. Unsigned addresses spare numba's check for negative indices.
+    never updated. A beam is cut where it enters another strip: within one, every step along the major axis
+    changes the address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare
+    numba's check for negative indices.
     """
     updates = 0
     for b in range(beams.shape[1]):
-        if beams[2, b] == SKIPPED:
+        i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
+        if t > last:
             continue
-        i0, j0, i1, j1 = counted_from(window, beams, b)
-        if i0 == i1 and j0 == j1:
-            continue
-        along_i, si, sj, major, minor, first, step, bits = staircase(
-            i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b]
-        )
-        begin, last, lowest, highest = inside(window, along_i, i0, j0, si, sj, major, minor)
-        whole = begin == 0 and last == major and lowest == 0 and highest == minor
-        ends_inside = last == major and highest == minor
-        q = begin
-        while q <= last:
-            if whole and 0 < q < major:
-                updates += _middle_columns(
-                    i0, j0, si, sj, along_i, major, minor, first, step, bits, cells, column, update
-                )
-                q = major
-            low, high = rows_of_column(q, major, minor, first, step, bits)
-            low, high = max(low, lowest), min(high, highest)
-            if q == major and ends_inside:
-                high -= 1
-            for m in range(low, high + 1):
-                i, j = (i0 + si * q, j0 + sj * m) if along_i else (i0 + si * m, j0 + sj * q)
-                address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
+        updates += last - t + 1
+        hit_inside = beams[2, b] == HIT and last == stairs.columns + stairs.rows
+        last_free = last - int(hit_inside)
+        upward = stairs.sj << TILE_BITS
+        ahead = stairs.si if stairs.along_i else upward
+        climb = (upward if stairs.along_i else stairs.si) - ahead
+        step, bits = stairs.step, stairs.bits
+        while t <= last_free:
+            i, j = _cell_at(i0, j0, stairs, t)
+            end = _last_in_strip(i, stairs, t, last_free)
+            acc = stairs.first + (t - 1) * step
+            base = column[np.uint64(i)] + (j << TILE_BITS) - ((acc + step) >> bits) * climb - ahead
+            for _ in range(end - t + 1):
+                acc += step
+                base += ahead
+                address = np.uint64(base + (acc >> bits) * climb)
                 cells[address] = add_free(cells[address], update)
-                updates += 1
-            q += 1
-        if ends_inside and begin <= major and lowest <= minor:
-            address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
-            hit = beams[2, b] == HIT
-            cells[address] = add_occupied(cells[address], update) if hit else add_free(cells[address], update)
-            updates += 1
+            t = end + 1
+        if hit_inside:
+            i, j = beams[0, b] - window.ix, beams[1, b] - window.iy
+            address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
+            cells[address] = add_occupied(cells[address], update)
     return updates

@@ -128,19 +128,22 @@ def test_the_longest_beams_change_rows_in_the_right_column(rise, turn):
         fu, fv, du, dv = 1 - fu, 1 - fv, -du, -dv
     di, dj = math.floor(fu + du), math.floor(fv + dv)
     gap_u, gap_v = (1 - fu if du > 0 else fu), (1 - fv if dv > 0 else fv)
-    along_i, si, sj, columns, rows, *steps = dda.staircase(di, dj, gap_u, gap_v, du, dv)
-    assert (along_i, si, sj) == (turn % 2 == 0, *((1, 1) if turn < 2 else (-1, -1)))
-    assert (columns, rows) == ((abs(di), abs(dj)) if along_i else (abs(dj), abs(di)))
+    stairs = dda.staircase(di, dj, gap_u, gap_v, du, dv)
+    assert (stairs.along_i, stairs.si, stairs.sj) == (turn % 2 == 0, *((1, 1) if turn < 2 else (-1, -1)))
+    columns, rows = (abs(di), abs(dj)) if stairs.along_i else (abs(dj), abs(di))
+    assert (stairs.columns, stairs.rows) == (columns, rows)
     gap, rest = Fraction(1 - 0.37), Fraction(1 - 0.811)
     for row in np.unique(np.linspace(1, rows, 400).astype(int)).tolist() if rows else []:
-        # The beam enters the row this far behind the first edge of its columns.
+        # The beam enters the row this far behind the first edge of its columns: after so many of their edges.
         ahead = (rest + row - 1) * Fraction(1_000_003) / Fraction(rise) - gap
-        before, after = math.ceil(ahead - SLACK), math.ceil(ahead + SLACK) + 1
-        if 1 <= before <= columns:
-            assert dda.rows_of_column(before, columns, rows, *steps)[0] < row
-        if after <= columns:
-            assert dda.rows_of_column(max(after, 1), columns, rows, *steps)[0] >= row
-    assert dda.rows_of_column(columns, columns, rows, *steps)[1] == rows
+        fewest, most = math.ceil(ahead - SLACK), math.ceil(ahead + SLACK)
+        assert dda.row_at(stairs, max(fewest, 0) + row - 1) < row
+        assert dda.row_at(stairs, min(most, columns) + row) >= row
+    assert dda.row_at(stairs, 0) == 0
+    assert dda.row_at(stairs, columns + rows) == rows
+    for column in (0, 1, columns // 3, columns - 1):
+        t = dda.last_in_column(stairs, column)
+        assert t - dda.row_at(stairs, t) <= column < t + 1 - dda.row_at(stairs, t + 1)
 
 
 def random_rays(rng, count, low, high):
