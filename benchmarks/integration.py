@@ -76,9 +76,11 @@ def variants(work: Workload) -> list[Ours]:
     """The map of this project in the forms that are measured."""
     return [
         Ours(BRESENHAM, work, settings_of(work)),
+        Ours(f"{BRESENHAM}, new memory", work, settings_of(work), new_memory=True),
         Ours(BRESENHAM_64, work, settings_of(work, cells="float64")),
         Ours(DDA, work, settings_of(work, traversal="dda")),
         Ours(SECTOR, work, settings_of(work, sensor="sector")),
+        Ours(f"{SECTOR}, new memory", work, settings_of(work, sensor="sector"), new_memory=True),
     ]
 
 

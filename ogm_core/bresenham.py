@@ -173,14 +173,15 @@ def touch_tiles(
         if beams[2, b] == SKIPPED:
             continue
         i0, j0, i1, j1 = counted_from(window, beams, b)
-        along_i, si, sj, major, bias, step, k, last = clipped_line(
-            i0, j0, i1, j1, window.width, window.height
-        )
-        slope = step / _ONE
-        this = i0, j0, i1 >> TILE_BITS, j1 >> TILE_BITS, 4 * int(along_i) + 2 * int(si > 0) + int(sj > 0)
-        if flattest < slope < steepest and this == marked and last == major:
+        di, dj = abs(i1 - i0), abs(j1 - j0)
+        octant = 4 * int(di >= dj) + 2 * int(i1 > i0) + int(j1 > j0)
+        this = i0, j0, i1 >> TILE_BITS, j1 >> TILE_BITS, octant
+        major, minor = max(di, dj), min(di, dj)
+        if this == marked and flattest * major < minor < steepest * major:
             continue
-        flattest, steepest = (0.0, 1.0) if k == 1 and last == major else (1.0, 0.0)
+        along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
+        whole = k == 1 and last == major and min(i0, j0) >= 0 and i0 < window.width and j0 < window.height
+        flattest, steepest = (0.0, 1.0) if whole else (1.0, 0.0)
         marked = this
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
@@ -188,13 +189,13 @@ def touch_tiles(
             end = min(k + (63 - (along & 63) if sign > 0 else along & 63), last)
             for at in (k, end):
                 s = (bias + at * step) >> FRACTION_BITS
-                minor = aside + sign_aside * s
-                tile = (along >> TILE_BITS, minor >> TILE_BITS)
+                place = aside + sign_aside * s
+                tile = (along >> TILE_BITS, place >> TILE_BITS)
                 if not along_i:
-                    tile = (minor >> TILE_BITS, along >> TILE_BITS)
+                    tile = (place >> TILE_BITS, along >> TILE_BITS)
                 fresh += int(touched[tile] == 0)
                 touched[tile] = revision
-                into = minor & 63 if sign_aside > 0 else 63 - (minor & 63)
+                into = place & 63 if sign_aside > 0 else 63 - (place & 63)
                 if s > into:
                     flattest = max(flattest, (s - into - 0.4) / at)
                 steepest = min(steepest, (s - into + 63.4) / at)

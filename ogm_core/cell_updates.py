@@ -23,6 +23,8 @@ def _occupied_int16(cell: Any, update: Any) -> Any:  # noqa: ANN401
 
 
 def _free_float64(cell: Any, update: Any) -> Any:  # noqa: ANN401
+    if cell < 0.0:  # most cells: known, and an increment makes no zero of them
+        return max(cell + update.free, update.lower)
     if cell == 0.0 and math.copysign(1.0, cell) > 0.0:
         cell = update.prior
     cell = max(cell + update.free, update.lower)

@@ -1,24 +1,27 @@
-"""Traversal `dda`: every cell that a beam passes through, one after the other (Amanatides & Woo 1987).
+r"""Traversal `dda`: every cell that a beam passes through, one after the other (Amanatides & Woo 1987).
 
-Each step goes on by one column or by one row, so after t steps both add up to t. The beam is then in the cell
-whose falling diagonal it crosses, at a height x(t) that grows evenly:
+Each step goes on by one column or by one row, so after t steps both add up to t. The beam is then in the
+cell whose falling diagonal it crosses, at a height x(t) that grows evenly:
 
     +-----+-----+-----+
-    |     |     | \\ * |         *  the beam        \\  falling diagonals, t = 1, 2, 3
-    |     | \\   |  *\\ |
-    +-----+---\\-*-----+         x(t) = v + (t + 1 - u - v) |dv| / (|du| + |dv|)
-    | \\   | * * \\     |         row m(t) = floor(x(t))
-    |  *\\*|     |     |         column  t - m(t)
+    |     |     |\ 3 *|      * * *   the beam
+    |     |     | \ * |      \       falling diagonal of the cell of step t = 1, 2, 3
+    |     |     |  *  |
+    +-----+-----+-----+      x(t) = v + (t + 1 - u - v) |dv| / (|du| + |dv|)
+    |\    |\ 1 *|* 2  |      row m(t) = floor(x(t))
+    | *  *|* *  |  \  |      column  t - m(t)
+    |*  \ |  \  |   \ |
     +-----+-----+-----+
 
-where (u, v) is where the beam starts in its first cell and (du, dv) the vector to its end, both turned so that
-the beam goes to the upper right and is longer than it is high: what are rows here are columns for others.
+where (u, v) is where the beam starts in its first cell and (du, dv) the vector to its end, both turned so
+that the beam goes to the upper right and is longer than it is high: what are rows here are columns for
+others.
 
 x is kept in fixed point, as in ogm_core.bresenham: there is no branch and no division per cell, and no error
 piles up. An error of x displaces the place where the beam changes rows by the error over the slope, so the
-fraction takes all the bits that the beam's rise leaves; a rise of one row, which a slope of nearly 0 may have,
-is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less than 1e-6
-for every M below 2^20.
+fraction takes all the bits that the beam's rise leaves; a rise of one row, which a slope of nearly 0 may
+have, is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less
+than 1e-6 for every M below 2^20.
 
 `beams` and `lines` are the rows of ogm_core.projection.Beams; cells are addressed as in ogm_core.strips.
 """
@@ -44,9 +47,9 @@ _BITS = 61
 class Stairs(NamedTuple):
     """A beam's way from its first cell: t counts the steps.
 
-    `along_i` says whether i is the major axis, `si` and `sj` are the signs of i and j, `columns` and `rows` the
-    cells to the end along the major and the minor axis. m(t) is the integer part of first + t * step, which
-    has `bits` behind the point. `stretch` is how many steps one column takes.
+    `along_i` says whether i is the major axis, `si` and `sj` are the signs of i and j, `columns` and `rows`
+    the cells to the end along the major and the minor axis. m(t) is the integer part of first + t * step,
+    which has `bits` behind the point. `stretch` is how many steps one column takes.
     """
 
     along_i: bool
@@ -199,7 +202,7 @@ def touch_tiles(
     """Write `revision` into every tile that the beams will update, and return how many held 0 before.
 
     Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Within a
-    strip a beam goes from one row to the next, so it meets every tile from its first cell's to its last one's.
+    strip a beam goes from one row to the next, so it meets every tile from its first cell's to its last's.
     """
     fresh = 0
     for b in range(beams.shape[1]):

@@ -104,22 +104,27 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
         window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
     limits = window, settings.max_cells
     model, resolution = beam_model(scan, settings), float(lattice.resolution)
-    edges, box, seen = sector.see(
+    rays, quadrants, box, seen = sector.see(
         read_only(scan.ranges), model, kinds, fan, heading, resolution, fu, fv, *limits
     )
-    if bounds is None and box[2] * box[3] > settings.max_cells:
-        _refuse_early(edges, fu, fv, CellRect(*box), settings.max_cells)
-        seen = sector.spans(edges, fu, fv, CellRect(*box))
+    if bounds is None and box.cells > settings.max_cells:
+        star = rays, quadrants, fu, fv
+        _refuse_early(star, box, settings.max_cells)
+        seen = sector.spans(*star, box)
     return Evidence(spans, (seen,), sensor_cell)
 
 
-def _refuse_early(edges: NDArray[np.float64], fu: float, fv: float, box: CellRect, max_cells: int) -> None:
-    """Refuse a scan that is certainly too large for any map, before all its cells are listed."""
+def _refuse_early(star: tuple[Any, ...], box: CellRect, max_cells: int) -> None:
+    """Refuse a scan that is certainly too large for any map, before all its cells are listed.
+
+    `star` is what `sector.spans` takes but for the window.
+    """
+    rays = star[0]
+    heights = rays[3, :-1] * rays[1, :-1]
     extent = CellRect(0, 0, 0, 0)
-    top = box.iy + box.height
-    for first in (box.iy, -_PROBE // 2, top - _PROBE):
-        probe = CellRect(box.ix, first, box.width, _PROBE)
-        found = CellRect(*spans.extent(sector.spans(edges, fu, fv, probe)))
+    for middle in (int(heights.min()), 0, int(heights.max())):
+        probe = CellRect(box.ix, middle - _PROBE // 2, box.width, _PROBE)
+        found = CellRect(*spans.extent(sector.spans(*star, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
     if extent.cells > max_cells:

@@ -65,51 +65,10 @@ def _ends_of(rays: NDArray[np.float64], fv: float) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def edges_of(rays: NDArray[np.float64], quadrants: NDArray[np.int64], fv: float) -> NDArray[np.float64]:
-    """The star's edges in the order in which the rows meet them, shape (7, n), for a sensor at height fv.
-
-    First row and the row after the last, outline, slope dx/dy of a radial edge (else 0), radius of an arc
-    with the sign of x (else 0), least and greatest x. An edge that no row meets is left out.
-    """
-    rows = _ends_of(rays, fv)
-    edges = np.empty((7, 4 * rays.shape[1]))
-    n = 0
-    for r in range(rays.shape[1] - 1):
-        c, s = rays[0, r], rays[1, r]
-        for outline in range(2 if r > 0 else 0):  # radial edges
-            first, last = rows[2 + outline, r - 1], rows[outline, r]
-            if first == last:
-                continue
-            near, far = rays[2 + outline, r - 1] * c, rays[2 + outline, r] * c
-            edges[0, n], edges[1, n], edges[2, n] = min(first, last), max(first, last), outline + 1
-            # An edge along a row has no slope that a float can hold; they meet anywhere between its ends.
-            edges[3, n], edges[4, n] = c / s if abs(s) > _FLAT else 0.0, 0.0
-            edges[5, n], edges[6, n] = min(near, far), max(near, far)
-            n += 1
-        # In the first and third quadrant a row comes from outside, in the others it goes there.
-        inward = quadrants[r] in (0, 2)
-        for k in range(2):  # arcs
-            outline = 1 - k if inward else k
-            first, last = rows[outline, r], rows[2 + outline, r]
-            if first == last:
-                continue
-            radius, c_next = rays[2 + outline, r], rays[0, r + 1]
-            edges[0, n], edges[1, n], edges[2, n] = min(first, last), max(first, last), outline + 1
-            edges[3, n], edges[4, n] = 0.0, radius if c + c_next >= 0.0 else -radius
-            edges[5, n], edges[6, n] = min(radius * c, radius * c_next), max(radius * c, radius * c_next)
-            n += 1
-    # Copied, for one kind of array: see ogm_core.star.turned.
-    return edges[:, :n].copy()
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def box_of(edges: NDArray[np.float64]) -> tuple[int, int, int, int]:
-    """A rectangle (ix, iy, width, height) that holds every span: the edges' rows, and columns enough."""
-    if edges.shape[1] == 0:
-        return 0, 0, 0, 0
-    left, right = math.floor(edges[5].min()) - 1, math.ceil(edges[6].max()) + 1
-    bottom, top = int(edges[0].min()), int(edges[1].max())
-    return left, bottom, right - left, top - bottom
+def box_of(rays: NDArray[np.float64]) -> CellRect:
+    """A rectangle around the sensor that holds every span."""
+    far = int(np.ceil(rays[3].max())) + 1
+    return CellRect(-far, -far, 2 * far + 1, 2 * far + 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -124,65 +83,81 @@ def see(
     fv: float,
     window: CellRect,
     max_cells: int,
-) -> tuple[NDArray[np.float64], CellRect, NDArray[np.int32]]:
-    """Edges of a scan's star, the rectangle that was looked at, and the spans in it (see `spans`).
+) -> tuple[NDArray[np.float64], NDArray[np.int64], CellRect, NDArray[np.int32]]:
+    """A scan's star, the rectangle that was looked at, and the spans in it (see `spans`).
 
     That is the `window`, or, if it has no width, a rectangle around the star; one of more than `max_cells`
     is not looked at, and there are no spans. For a sensor of this `heading` at (fu, fv) within its cell.
     """
     rays, quadrants = turned(ranges, beam, kinds, fan, heading, resolution)
-    edges = edges_of(rays, quadrants, fv)
     if window.width == 0:
-        window = CellRect(*box_of(edges))
+        window = box_of(rays)
         if window.width * window.height > max_cells:
-            return edges, window, np.empty((4, 0), np.int32)
-    return edges, window, spans(edges, fu, fv, window)
+            return rays, quadrants, window, np.empty((4, 0), np.int32)
+    return rays, quadrants, window, spans(rays, quadrants, fu, fv, window)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spans(edges: NDArray[np.float64], fu: float, fv: float, window: CellRect) -> NDArray[np.int32]:
+def spans(
+    rays: NDArray[np.float64], quadrants: NDArray[np.int64], fu: float, fv: float, window: CellRect
+) -> NDArray[np.int32]:
     """Cells of each class as spans of rows, for a sensor at (fu, fv) within its cell; no cell twice.
 
     Returns shape (4, n): row, first column, column after the last, class. Only spans that meet `window` are
     kept; what lies outside costs neither memory nor, above and below it, time. A cell whose centre is the
     sensor has no bearing and is left out.
+
+    At every ray there are four edges: the two outlines step to the radii from here on, then follow their arcs
+    to the next ray. `first` and `last` are the rows in which an edge begins and ends.
     """
-    bottom, top = (int(edges[0].min()), int(edges[1].max())) if edges.size else (0, 0)
-    lowest, highest = max(bottom, window.iy), min(top, window.iy + window.height)
-    rows = max(highest - lowest, 0)
-    inside = np.zeros(rows, np.int64)
-    met = np.empty(rows, np.int64)
+    rows = _ends_of(rays, fv)
+    lowest = max(int(rows.min()), window.iy)
+    highest = min(int(rows.max()), window.iy + window.height)
     upper = int(_row(0.0, fv))  # the lowest row at or above the sensor
-    for row in range(rows):
+    inside = np.zeros(max(highest - lowest, 0), np.int64)
+    met = np.empty(inside.size, np.int64)
+    for row in range(inside.size):
         met[row] = _FAR if row + lowest >= upper else -_FAR
-    found = np.empty((4, 2 * edges.shape[1] + 1000), np.int32)
+    found = np.empty((4, 4 * rays.shape[1] + 1000), np.int32)
     n = 0
     left, right = window.ix, window.ix + window.width
     pole = fu == 0.5 and fv == 0.5  # the sensor is the centre of its cell
-    for e in range(edges.shape[1]):
-        bit, slope, radius = int(edges[2, e]), edges[3, e], edges[4, e]
-        least, greatest, square = edges[5, e], edges[6, e], edges[4, e] ** 2
-        begin, end = max(int(edges[0, e]), lowest), min(int(edges[1, e]), highest)
-        above = begin >= upper
-        if n + 2 * (end - begin) > found.shape[1]:
-            found = np.concatenate(
-                (found, np.empty((4, found.shape[1] + 2 * (end - begin)), np.int32)), axis=1
-            )
-        for row in range(begin, end):
-            v = _height(row, fv)
-            x = slope * v if radius == 0.0 else math.copysign(math.sqrt(max(square - v * v, 0.0)), radius)
-            here = int(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
-            r = np.uint64(row - lowest)
-            state, before = inside[r], met[r]
-            inside[r] = state ^ bit
-            here = min(here, before) if above else max(here, before)
-            met[r] = here
-            first, last = (here, before) if above else (before, here)
-            if pole and state != 0 and row == 0 and first <= 0 < last:
-                found[0, n], found[1, n], found[2, n], found[3, n] = row, first, 0, 2 - (state & FREE)
-                n += int(first < 0 and left < 0)
-                first = 1
-            found[0, n], found[1, n], found[2, n], found[3, n] = row, first, last, 2 - (state & FREE)
-            # Written in any case, kept if it is one: what a branch would decide is hard to foresee.
-            n += int((state != 0) & (first < last) & (last > left) & (first < right))
+    for r in range(rays.shape[1] - 1):
+        c, s, c_next = rays[0, r], rays[1, r], rays[0, r + 1]
+        # An edge along a row has no slope that a float can hold; they meet anywhere between its ends.
+        slope = c / s if abs(s) > _FLAT else 0.0
+        # In the first and third quadrant a row comes from outside, in the others it goes there.
+        inward = int(quadrants[r] in (0, 2))
+        for k in range(0 if r > 0 else 2, 4):
+            outline = k if k < 2 else (k & 1) ^ inward
+            radius = rays[2 + outline, r]
+            first, last = rows[2 + outline, r - 1] if k < 2 else rows[outline, r], rows[outline + (k & 2), r]
+            if first == last:
+                continue
+            a, b = rays[2 + outline, r - 1] * c if k < 2 else radius * c, radius * (c if k < 2 else c_next)
+            least, greatest = min(a, b), max(a, b)
+            begin, end = max(int(min(first, last)), lowest), min(int(max(first, last)), highest)
+            above = begin >= upper
+            side = math.copysign(1.0, c + c_next)
+            if n + 2 * (end - begin) > found.shape[1]:
+                more = np.empty((4, found.shape[1] + 2 * (end - begin)), np.int32)
+                found = np.concatenate((found, more), axis=1)
+            for row in range(begin, end):
+                v = _height(row, fv)
+                x = slope * v if k < 2 else side * math.sqrt(max(radius * radius - v * v, 0.0))
+                here = int(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
+                at = np.uint64(row - lowest)
+                state, before = inside[at], met[at]
+                inside[at] = state ^ (outline + 1)
+                here = min(here, before) if above else max(here, before)
+                met[at] = here
+                start, stop = (here, before) if above else (before, here)
+                if pole and state != 0 and row == 0 and start <= 0 < stop:
+                    found[0, n], found[1, n], found[2, n], found[3, n] = row, start, 0, 2 - (state & FREE)
+                    n += int(start < 0 and left < 0)
+                    start = 1
+                found[0, n], found[1, n], found[2, n], found[3, n] = row, start, stop, 2 - (state & FREE)
+                # Written in any case, kept if it is one: what a branch would decide is hard to foresee.
+                n += int((state != 0) & (start < stop) & (stop > left) & (start < right))
+    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
     return found[:, :n].copy()

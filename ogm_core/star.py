@@ -137,4 +137,5 @@ def turned(
         m += 1
     rays[0, m] = 1.0
     quadrants[m] = 3
-    return rays[:, : m + 1], quadrants[: m + 1]
+    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
+    return rays[:, : m + 1].copy(), quadrants[: m + 1].copy()
