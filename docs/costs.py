@@ -155,13 +155,12 @@ def times_table(costs: Costs) -> str:
 def memory_curves() -> dict[str, Floats]:
     """Known cells and bytes of each, shape (2, sizes), of maps of several shapes."""
     rng = np.random.default_rng(1)
-    curves = {"round room": [(place(1440, r, Pose(0.0, 0.0, 0.0), rng),) for r in ROOM_RADII]}
+    curves = {"round room": [[place(1440, r, Pose(0.0, 0.0, 0.0), rng)] for r in ROOM_RADII]}
     for name, bearing in {"corridor, along an axis": 0.0, "corridor, diagonal": math.pi / 4}.items():
         stops = [np.arange(0.0, length, 0.5) for length in CORRIDOR_LENGTHS]
         turned = math.cos(bearing), math.sin(bearing)
         curves[name] = [
-            tuple(place(180, 1.0, Pose(turned[0] * s, turned[1] * s, 0.0), rng) for s in along)
-            for along in stops
+            [place(180, 1.0, Pose(turned[0] * s, turned[1] * s, 0.0), rng) for s in along] for along in stops
         ]
     return {name: np.array([_memory(scans) for scans in maps]).T for name, maps in curves.items()}
 
