@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check coverage format pictures variants bench bench-quick clean
+.PHONY: demo test check coverage format pictures variants costs bench bench-quick clean
 
 demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
@@ -43,6 +43,10 @@ endef
 # The tables of docs/variants.md.
 variants: $(VENV)/.run $(VENV)/.kernels
 	$(BIN)/python docs/variants.py
+
+# The tables of docs/costs.md and its figure; best while nothing else is running.
+costs: $(VENV)/.dev $(VENV)/.kernels
+	$(BIN)/python -m docs.costs
 
 # How fast the map is, against other programs of its kind where g++ and their headers are installed.
 bench: $(VENV)/.run $(VENV)/.kernels
