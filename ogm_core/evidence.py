@@ -108,23 +108,27 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
         read_only(scan.ranges), model, kinds, fan, heading, resolution, fu, fv, *limits
     )
     if bounds is None and box.cells > settings.max_cells:
-        star = rays, quadrants, fu, fv
-        _refuse_early(star, box, settings.max_cells)
-        seen = sector.spans(*star, box)
+        _refuse_early(rays, quadrants, (fu, fv), box, settings.max_cells)
+        seen = sector.spans(rays, quadrants, fu, fv, box)
     return Evidence(spans, (seen,), sensor_cell)
 
 
-def _refuse_early(star: tuple[Any, ...], box: CellRect, max_cells: int) -> None:
+def _refuse_early(
+    rays: NDArray[np.float64],
+    quadrants: NDArray[np.int64],
+    place: tuple[float, float],
+    box: CellRect,
+    max_cells: int,
+) -> None:
     """Refuse a scan that is certainly too large for any map, before all its cells are listed.
 
-    `star` is what `sector.spans` takes but for the window.
+    `place` is where the sensor is within its cell.
     """
-    rays = star[0]
     heights = rays[3, :-1] * rays[1, :-1]
     extent = CellRect(0, 0, 0, 0)
     for middle in (int(heights.min()), 0, int(heights.max())):
         probe = CellRect(box.ix, middle - _PROBE // 2, box.width, _PROBE)
-        found = CellRect(*spans.extent(sector.spans(*star, probe)))
+        found = CellRect(*spans.extent(sector.spans(rays, quadrants, *place, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
     if extent.cells > max_cells:
