@@ -43,14 +43,14 @@ def rate_of(process: subprocess.Popen[bytes], seconds: float) -> float:
     """Answers a second that the clients got, when they are done.
 
     Raises:
-        RuntimeError: some were errors, or they did not end in time.
+        RuntimeError: there were none, some were errors, or the clients did not end in time.
     """
     try:
         text = process.communicate(timeout=seconds + TIMEOUT + STOPPED)[0].decode()
     except subprocess.TimeoutExpired as error:
         raise RuntimeError(f"{process.args!r} did not end") from error
     found = re.search(r"Requests/sec:\s*([\d.]+)", text)
-    if found is None or "Non-2xx" in text or "Socket errors" in text:
+    if found is None or float(found[1]) == 0.0 or "Non-2xx" in text or "Socket errors" in text:
         raise RuntimeError(f"{process.args!r}: {text}")
     return float(found[1])
 

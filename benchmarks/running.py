@@ -2,6 +2,7 @@
 
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -40,7 +41,7 @@ def mapper(*flags: str) -> Iterator[RunningMapper]:
 @contextmanager
 def ogm(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """An `ogm` process without settings in its environment; its standard output is a pipe."""
-    with program([sys.executable, "-m", "ogm_services", *arguments]) as process:
+    with program([sys.executable, "-X", "faulthandler", "-m", "ogm_services", *arguments]) as process:
         yield process
 
 
@@ -56,7 +57,8 @@ def program(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
             try:
                 process.wait(STOPPED)
             except subprocess.TimeoutExpired:
-                process.kill()
+                process.send_signal(signal.SIGABRT)  # Python then shows where all its threads stand
+                print(f"{process.args!r} did not end within {STOPPED:g} s and was killed")
 
 
 def environment() -> dict[str, str]:
