@@ -48,11 +48,12 @@ variants: $(VENV)/.run $(VENV)/.kernels
 costs: $(VENV)/.dev $(VENV)/.kernels
 	$(BIN)/python -m docs.costs
 
-# How fast the map is, against other programs of its kind where g++ and their headers are installed.
+# How fast the map is, against other programs of its kind where g++ and their headers are installed, and how fast
+# the services are: OGM_DATASETS and wrk make it complete.
 bench: $(VENV)/.run $(VENV)/.kernels
 	$(BIN)/python -m benchmarks $(ARGS)
 
-# The same in under a minute, with fewer scans and rounds.
+# The same in about a minute, with fewer scans and rounds.
 bench-quick: $(VENV)/.run $(VENV)/.kernels
 	$(BIN)/python -m benchmarks --quick $(ARGS)
 

@@ -17,7 +17,17 @@ import numpy as np
 from benchmarks.table import Result, as_text, keep
 
 ROOT = Path(__file__).parents[1]
-BENCHMARKS = ("integration", "threads", "services")
+BENCHMARKS = (
+    "integration",
+    "threads",
+    "throughput",
+    "latency",
+    "pictures",
+    "http_load",
+    "build_speed",
+    "memory",
+    "start_up",
+)
 """Modules of this package, each with `run(quick: bool) -> list[Result]`."""
 
 

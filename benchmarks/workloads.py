@@ -7,6 +7,7 @@
 | intel, freiburg-079 | 910, 4791 | 180, 360 over 180 degrees, up to 80 m | 0.05 m |
 """
 
+import functools
 import math
 import os
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings, Outside, SensorModel, Traversal
 from ogm_core.lattice import Region
 from ogm_core.lidar import Lidar, measure
@@ -85,7 +87,13 @@ def big(scans: int = BIG_SCANS, seed: int = 1) -> Workload:
     lap = big_lap()
     world = big_world(lap, rng)
     lidar = Lidar(beams=BIG_BEAMS, fov=math.radians(270.0), range_max=BIG_RANGE_MAX, noise=0.02)
-    return Workload("big", _simulated(world, lap[:scans], lidar, rng), resolution=0.05, alpha=0.1)
+    return Workload("big", simulated(world, lap[:scans], lidar, rng), resolution=0.05, alpha=0.1)
+
+
+@functools.cache
+def whole_big() -> Workload:
+    """All of `big`, simulated once a process; nobody changes it."""
+    return big()
 
 
 def lab_exercise(seed: int = 1) -> Workload:
@@ -93,7 +101,7 @@ def lab_exercise(seed: int = 1) -> Workload:
     bounds = Region(-10.0, -10.0, 10.0, 10.0)
     world = lab()
     lap = [world.path.pose(k) for k in range(world.path.count)]
-    scans = _simulated(world, lap, Lidar.lab(), np.random.default_rng(seed))
+    scans = simulated(world, lap, Lidar.lab(), np.random.default_rng(seed))
     return Workload("lab", scans, resolution=0.1, alpha=0.2, bounds=bounds, outside="drop")
 
 
@@ -119,7 +127,8 @@ WORKLOADS: dict[str, Callable[[], Workload | None]] = {
 }
 
 
-def _simulated(world: World, lap: list[Pose], lidar: Lidar, rng: np.random.Generator) -> list[PlacedScan]:
+def simulated(world: World, lap: list[Pose], lidar: Lidar, rng: np.random.Generator) -> list[PlacedScan]:
+    """One scan a pose, 20 a second; each carries its pose."""
     period = 50_000_000
     limits = lidar.angle_min, lidar.angle_increment, 0.0, lidar.range_max
     return [
@@ -151,3 +160,11 @@ def settings_of(
 def first_scans(work: Workload, count: int) -> Workload:
     """The workload without its later scans."""
     return replace(work, scans=work.scans[:count])
+
+
+def mapped(work: Workload) -> OccupancyGrid:
+    """A fresh map, with the workload's own settings, of its scans."""
+    grid = OccupancyGrid(settings_of(work))
+    for scan, pose, _ in work.scans:
+        grid.integrate(scan, pose)
+    return grid

@@ -98,6 +98,31 @@ def see(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _edges(rows: NDArray[np.float64], quadrants: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The star's edges that some row meets, in the order in which the rows meet them; `rows` of `_ends_of`.
+
+    At every ray both outlines step to the radii from there on, then they follow their arcs to the next ray. An
+    edge is 4 r + 2 outline + (1 if it is such a step, along the ray). It is written in any case and kept if
+    it begins and ends in different rows: what a branch would decide is hard to foresee.
+    """
+    edges = np.empty(4 * rows.shape[1] + 1, np.int64)
+    n = 0
+    for r in range(rows.shape[1]):
+        if r > 0:
+            edges[n] = 4 * r + 1
+            n += int(rows[2, r - 1] != rows[0, r])
+            edges[n] = 4 * r + 3
+            n += int(rows[3, r - 1] != rows[1, r])
+        # In the first and third quadrant a row comes from outside, in the others it goes there.
+        first = int(quadrants[r] in (0, 2))
+        edges[n] = 4 * r + 2 * first
+        n += int(rows[first, r] != rows[2 + first, r])
+        edges[n] = 4 * r + 2 * (1 - first)
+        n += int(rows[1 - first, r] != rows[3 - first, r])
+    return edges[:n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def spans(
     rays: NDArray[np.float64], quadrants: NDArray[np.int64], fu: float, fv: float, window: CellRect
 ) -> NDArray[np.int32]:
@@ -106,11 +131,9 @@ def spans(
     Returns shape (4, n): row, first column, column after the last, class. Only spans that meet `window` are
     kept; what lies outside costs neither memory nor, above and below it, time. A cell whose centre is the
     sensor has no bearing and is left out.
-
-    At every ray there are four edges: the two outlines step to the radii from here on, then follow their arcs
-    to the next ray. `first` and `last` are the rows in which an edge begins and ends.
     """
     rows = _ends_of(rays, fv)
+    edges = _edges(rows, quadrants)
     lowest = max(int(rows.min()), window.iy)
     highest = min(int(rows.max()), window.iy + window.height)
     upper = int(_row(0.0, fv))  # the lowest row at or above the sensor
@@ -118,46 +141,42 @@ def spans(
     met = np.empty(inside.size, np.int64)
     for row in range(inside.size):
         met[row] = _FAR if row + lowest >= upper else -_FAR
-    found = np.empty((4, 4 * rays.shape[1] + 1000), np.int32)
+    found = np.empty((4, 2 * edges.size + 1000), np.int32)
     n = 0
     left, right = window.ix, window.ix + window.width
     pole = fu == 0.5 and fv == 0.5  # the sensor is the centre of its cell
-    for r in range(rays.shape[1] - 1):
-        c, s, c_next = rays[0, r], rays[1, r], rays[0, r + 1]
+    for edge in edges:
+        r, outline, step = edge >> 2, (edge >> 1) & 1, edge & 1
+        first, last = rows[outline + 2 * step, r - step], rows[outline + 2 - 2 * step, r]
+        begin, end = max(int(min(first, last)), lowest), min(int(max(first, last)), highest)
+        c, s, radius = rays[0, r], rays[1, r], rays[2 + outline, r]
         # An edge along a row has no slope that a float can hold; they meet anywhere between its ends.
         slope = c / s if abs(s) > _FLAT else 0.0
-        # In the first and third quadrant a row comes from outside, in the others it goes there.
-        inward = int(quadrants[r] in (0, 2))
-        for k in range(0 if r > 0 else 2, 4):
-            outline = k if k < 2 else (k & 1) ^ inward
-            radius = rays[2 + outline, r]
-            first, last = rows[2 + outline, r - 1] if k < 2 else rows[outline, r], rows[outline + (k & 2), r]
-            if first == last:
+        side = math.copysign(1.0, c + rays[0, r + 1])
+        a, b = rays[2 + outline, r - step] * c, radius * rays[0, r + 1 - step]
+        least, greatest = min(a, b), max(a, b)
+        above = begin >= upper
+        if n + 2 * (end - begin) > found.shape[1]:
+            more = np.empty((4, found.shape[1] + 2 * (end - begin)), np.int32)
+            found = np.concatenate((found, more), axis=1)
+        for row in range(begin, end):
+            v = _height(row, fv)
+            arc = side * math.sqrt(max(radius * radius - v * v, 0.0))
+            x = slope * v if step else arc
+            here = int(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
+            at = np.uint64(row - lowest)
+            state, before = inside[at], met[at]
+            inside[at] = state ^ (outline + 1)
+            here = min(here, before) if above else max(here, before)
+            met[at] = here
+            start, stop = (here, before) if above else (before, here)
+            if state == 0 or start >= stop or stop <= left or start >= right:
                 continue
-            a, b = rays[2 + outline, r - 1] * c if k < 2 else radius * c, radius * (c if k < 2 else c_next)
-            least, greatest = min(a, b), max(a, b)
-            begin, end = max(int(min(first, last)), lowest), min(int(max(first, last)), highest)
-            above = begin >= upper
-            side = math.copysign(1.0, c + c_next)
-            if n + 2 * (end - begin) > found.shape[1]:
-                more = np.empty((4, found.shape[1] + 2 * (end - begin)), np.int32)
-                found = np.concatenate((found, more), axis=1)
-            for row in range(begin, end):
-                v = _height(row, fv)
-                x = slope * v if k < 2 else side * math.sqrt(max(radius * radius - v * v, 0.0))
-                here = int(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
-                at = np.uint64(row - lowest)
-                state, before = inside[at], met[at]
-                inside[at] = state ^ (outline + 1)
-                here = min(here, before) if above else max(here, before)
-                met[at] = here
-                start, stop = (here, before) if above else (before, here)
-                if pole and state != 0 and row == 0 and start <= 0 < stop:
-                    found[0, n], found[1, n], found[2, n], found[3, n] = row, start, 0, 2 - (state & FREE)
-                    n += int(start < 0 and left < 0)
-                    start = 1
-                found[0, n], found[1, n], found[2, n], found[3, n] = row, start, stop, 2 - (state & FREE)
-                # Written in any case, kept if it is one: what a branch would decide is hard to foresee.
-                n += int((state != 0) & (start < stop) & (stop > left) & (start < right))
+            if pole and row == 0 and start <= 0 < stop:
+                found[0, n], found[1, n], found[2, n], found[3, n] = row, start, 0, 2 - (state & FREE)
+                n += int(start < 0 and left < 0)
+                start = 1
+            found[0, n], found[1, n], found[2, n], found[3, n] = row, start, stop, 2 - (state & FREE)
+            n += int(start < stop and start < right)
     # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
     return found[:, :n].copy()

@@ -56,9 +56,8 @@ class TiledCells:
         """How many cells were ever updated, counted tile by tile: nothing is laid out."""
         numbers, count = self.tiles.numbers, 0
         for tiles, _, rows in self.tiles.find(numbers[numbers > 0]):
-            used = tiles if len(rows) == len(tiles) else tiles[rows]
             # As integers: a known zero of float64 cells is stored as -0.0 (see ogm_core.logodds).
-            count += int(np.count_nonzero(used.view(f"i{used.itemsize}")))
+            count += _count_known(tiles.view(f"i{tiles.itemsize}"), rows)
         return count
 
     def value_counts(self) -> NDArray[np.int64]:
@@ -110,6 +109,18 @@ def _lay_out(
         for r in range(max(0, -rows[k]), min(TILE, height - rows[k])):
             for c in range(west, east):
                 dense[rows[k] + r, column + c] = tiles[which[k], TILE * r + c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count_known(tiles: NDArray[Any], which: NDArray[np.int64]) -> int:
+    """How many cells of `tiles[which]`, as integers, are not 0."""
+    count = 0
+    for k in range(len(which)):
+        tile, known = tiles[which[k]], np.int32(0)
+        for c in range(TILE * TILE):
+            known += np.int32(tile[c] != 0)
+        count += int(known)
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

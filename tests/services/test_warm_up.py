@@ -37,6 +37,7 @@ KERNELS = (
     run_coding.count_runs,
     run_coding.code_tiles,
     run_coding.join_rows,
+    tiled_cells._count_known,
     tiled_cells._lay_out,
     tiled_cells._count_values,
 )
@@ -65,6 +66,7 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
         live_map.snapshot().crop(Region(0.0, 0.0, 1.0, 1.0))
         for palette in PALETTES:
             encode_png(live_map.snapshot(), palette)
+    live_map.info()
     live_map.quality()
     assert compiled() == before
 

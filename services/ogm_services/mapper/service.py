@@ -202,6 +202,7 @@ def warm_up(settings: GridSettings) -> None:
     hit_and_no_return = np.array([side / 4, math.inf], np.float32)
     scan = Scan(0, 0.0, 1.0, 0.0, side / 3, hit_and_no_return)
     scratch.integrate(scan, Pose(side / 2, side / 2, 0.0))
+    scratch.info()
     scratch.quality()
     encode_png(scratch.snapshot())
 
