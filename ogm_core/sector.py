@@ -101,9 +101,9 @@ def see(
 def _edges(rows: NDArray[np.float64], quadrants: NDArray[np.int64]) -> NDArray[np.int64]:
     """The star's edges that some row meets, in the order in which the rows meet them; `rows` of `_ends_of`.
 
-    At every ray both outlines step to the radii from there on, then they follow their arcs to the next ray. An
-    edge is 4 r + 2 outline + (1 if it is such a step, along the ray). It is written in any case and kept if
-    it begins and ends in different rows: what a branch would decide is hard to foresee.
+    At every ray both outlines step to the radii from there on, then they follow their arcs to the next one.
+    An edge is 4 r + 2 outline + (1 if it is such a step, along the ray). It is written in any case and kept
+    if it begins and ends in different rows: what a branch would decide is hard to foresee.
     """
     edges = np.empty(4 * rows.shape[1] + 1, np.int64)
     n = 0
