@@ -1,7 +1,7 @@
-"""`python -m benchmarks`: run the benchmarks, show their table and keep it.
+"""`python -m benchmarks`: run the benchmarks, show their table and keep it, the targets in README.md, too.
 
-`--quick` takes fewer scans and rounds and stays under a minute; its table goes to build/benchmarks. Names of
-benchmarks choose among them.
+`--quick` takes fewer scans and rounds; its table goes to build/benchmarks, as does that of some benchmarks
+chosen by their names.
 """
 
 import argparse
@@ -14,9 +14,11 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks.table import Result, as_text, keep
+from benchmarks.table import Result, as_text, keep, targets
+from docs.variants import with_table
 
 ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
 BENCHMARKS = (
     "integration",
     "threads",
@@ -47,8 +49,11 @@ def main() -> None:
             continue
         results += run(arguments.quick)
     print(as_text(results))
-    folder = ROOT / ("build/benchmarks" if arguments.quick else "benchmarks/results")
+    whole = not (arguments.quick or arguments.names)
+    folder = ROOT / ("benchmarks/results" if whole else "build/benchmarks")
     keep(results, folder, f"Measured on {machine()}")
+    if whole:
+        README.write_text(with_table(README.read_text("utf-8"), "speed", targets(results)), encoding="utf-8")
     print(f"kept in {folder.relative_to(ROOT)}")
 
 

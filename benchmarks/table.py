@@ -75,6 +75,16 @@ def as_markdown(results: Iterable[Result], heading: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def targets(results: Iterable[Result]) -> str:
+    """One Markdown table of the results that have a target, each with its group."""
+    lines = [_row(HEADER), "|---|---|---|---|"]
+    for result in results:
+        if result.target is not None:
+            name, *others = result.cells
+            lines.append(_row((f"{result.group}: {name}", *others)))
+    return "\n".join(lines) + "\n"
+
+
 def as_json(results: Iterable[Result]) -> str:
     """A list of the results with their fields and `met`."""
     return json.dumps([asdict(result) | {"met": result.met} for result in results], indent=1) + "\n"

@@ -136,14 +136,26 @@ def test_quality_of_a_map_that_does_not_change_is_computed_once(live, clock, cou
     assert counted == [1, 0]
 
 
-def test_known_cells_may_be_a_second_old_and_the_size_is_not(live, clock):
+def test_known_cells_may_be_old_and_the_size_is_not(live, clock):
     assert (live.info()["known_cells"], live.info()["width"]) == (0, 0)
     live.integrate(scan(), HERE)
     assert (live.info()["known_cells"], live.info()["width"]) == (0, 4)
-    clock.now += 1.0
+    clock.now += 2.9
+    assert live.info()["known_cells"] == 0
+    clock.now += 0.1
     assert live.info()["known_cells"] == 4
     live.integrate(scan(3.0), HERE)
     assert live.quality()["known_m2"] == 6 * 0.25  # each figure has a second of its own
+    assert live.info()["known_cells"] == 4
+
+
+def test_known_cells_are_counted_once_a_second_at_most_for_those_who_do_not_ask(live, clock):
+    live.count_known()
+    live.integrate(scan(), HERE)
+    live.count_known()
+    assert live.info()["known_cells"] == 0
+    clock.now += 1.0
+    live.count_known()
     assert live.info()["known_cells"] == 4
 
 

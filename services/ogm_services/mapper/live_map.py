@@ -17,6 +17,8 @@ RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
+PATIENCE = 3.0
+"""Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
 
 _T = TypeVar("_T")
 
@@ -88,15 +90,19 @@ class LiveMap:
             return self._current_snapshot()
 
     def info(self) -> dict[str, Any]:
-        """The status's `map_info`; known cells may be a second old."""
+        """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
         state = self._state
         return {
-            "known_cells": self._figure(self._known_cells, self._count_known),
+            "known_cells": self._figure(self._known_cells, self._known_cells_now, period=PATIENCE),
             "bytes": state.nbytes,
             "width": state.width,
             "height": state.height,
             "resolution": self._grid.lattice.resolution,
         }
+
+    def count_known(self) -> None:
+        """Bring the number of known cells up to date, so that nobody who asks for it need wait."""
+        self._figure(self._known_cells, self._known_cells_now)
 
     def quality(self, world: World | None = None) -> dict[str, Any]:
         """Quality figures of the map and its newest scans; may be a second old.
@@ -129,20 +135,33 @@ class LiveMap:
             known = self._snapshot = self._grid.snapshot()
         return known
 
-    def _count_known(self) -> int:
+    def _known_cells_now(self) -> int:
         return self.snapshot().known_cells
 
-    def _figure(self, cached: "_Figure", compute: Callable[[], _T], world: World | None = None) -> _T:
-        """The cached value, computed anew if the map or the world is another and the value is old enough."""
-        with cached.lock:
+    def _figure(
+        self,
+        cached: "_Figure",
+        compute: Callable[[], _T],
+        world: World | None = None,
+        period: float = FIGURES_PERIOD,
+    ) -> _T:
+        """The cached value, computed anew if the map or the world is another and it is `period` s old.
+
+        With PATIENCE nobody waits while another one computes: the old value will do.
+        """
+        if not cached.lock.acquire(blocking=period < PATIENCE or cached.identity is None):
+            return cast(_T, cached.value)
+        try:
             identity = self.identity()
             new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
             changed = identity != cached.identity or world is not cached.world
-            old = time.monotonic() - cached.time >= FIGURES_PERIOD
+            old = time.monotonic() - cached.time >= period
             if new_life or (old and changed):
                 cached.value = compute()
                 cached.identity, cached.world, cached.time = identity, world, time.monotonic()
             return cast(_T, cached.value)
+        finally:
+            cached.lock.release()
 
 
 class _Figure:

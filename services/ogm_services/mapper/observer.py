@@ -1,4 +1,4 @@
-"""What the mapper watches by itself, whether anybody asks or not: how the map settles, and what is true."""
+"""What the mapper watches by itself, whether anybody asks or not: how it grows and settles, what is true."""
 
 import logging
 import threading
@@ -58,3 +58,4 @@ class Observer:
         if self.series.due(identity["epoch"], identity["revision"], began):
             snapshot = self._map.snapshot()
             self.series.take(snapshot, sample_of(snapshot), began, time.monotonic())
+        self._map.count_known()
