@@ -53,6 +53,6 @@ def test_a_scan_of_100_000_beams(variant):
         rect = grid.rect
         expected = twin.log_odds((rect.ix, rect.iy), rect.width, rect.height)
         assert np.array_equal(log_odds_of(grid), expected, equal_nan=True)
-    # Five bumps: the mean of r^2 / 2 over a turn is pi (1 + 0.3^2 / 2) m2, and half of alpha more is occupied.
+    # Five bumps: their mean of r^2 / 2 over a turn is pi (1 + 0.3^2 / 2) m2; half of alpha more is occupied.
     area = np.count_nonzero(~np.isnan(log_odds_of(grid))) * 0.05**2
     assert area == pytest.approx(math.pi * (1.05**2 + 0.3**2 / 2), rel=0.05)
