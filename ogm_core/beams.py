@@ -80,6 +80,14 @@ def _addressed(x: float, y: float, lattice: Cells) -> bool:
     return abs(u) < MAX_INDEX and abs(v) < MAX_INDEX
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _draw(lines: NDArray[np.float64], k: int, u0: float, v0: float, u: float, v: float) -> None:
+    """Write the line of beam `k` from (u0, v0) to (u, v), in cells: see ogm_core.projection.Beams."""
+    lines[0, k] = math.floor(u0) + 1 - u0 if u > u0 else u0 - math.floor(u0)
+    lines[1, k] = math.floor(v0) + 1 - v0 if v > v0 else v0 - math.floor(v0)
+    lines[2, k], lines[3, k] = u - u0, v - v0
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def project(
     ranges: NDArray[np.float32], beam: BeamModel, sensor: NDArray[np.float64], lattice: Cells, exact: bool
@@ -108,9 +116,7 @@ def project(
         cells[2, k] = kind
         cells[3, k], cells[4, k] = math.floor(u0), math.floor(v0)
         if exact:
-            lines[0, k] = math.floor(u0) + 1 - u0 if u > u0 else u0 - math.floor(u0)
-            lines[1, k] = math.floor(v0) + 1 - v0 if v > v0 else v0 - math.floor(v0)
-            lines[2, k], lines[3, k] = u - u0, v - v0
+            _draw(lines, k, u0, v0, u, v)
     return True, cells, lines
 
 
@@ -171,6 +177,8 @@ def project_turned(
                 kind, length = classify(float(ranges[k]), beam)
                 _, u, v = _end_of(k, length, x, y, theta, beam, lattice)
                 cells[0, k], cells[1, k], cells[2, k] = math.floor(u), math.floor(v), kind
+                if exact:  # a line must lead to its beam's end cell, be that beyond an edge by rounding only
+                    _draw(lines, k, u0, v0, u, v)
     return True, cells, lines
 
 

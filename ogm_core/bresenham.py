@@ -177,7 +177,7 @@ def touch_tiles(
         octant = 4 * int(di >= dj) + 2 * int(i1 > i0) + int(j1 > j0)
         this = i0, j0, i1 >> TILE_BITS, j1 >> TILE_BITS, octant
         major, minor = max(di, dj), min(di, dj)
-        if this == marked and flattest * major < minor < steepest * major:
+        if major == 0 or (this == marked and flattest * major < minor < steepest * major):
             continue
         along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
         whole = k == 1 and last == major and min(i0, j0) >= 0 and i0 < window.width and j0 < window.height

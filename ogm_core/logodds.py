@@ -7,7 +7,8 @@ traversal, serving) knows a cell only through its model: its dtype, its update, 
 Two storage forms, both with a stored 0 for "never updated", so that untouched memory is an unknown map:
 
 - int16: l - l0 in steps of max(l_max - l0, l0 - l_min) / 16383, times two, plus a bit that every hit sets: a
-  cell that is brought back to the prior holds 1 and stays known. Without a hit cells only become negative.
+  cell that is brought back to the prior holds 1 and stays known. Without a hit cells only become negative,
+  or 1 where the lower clamp rounds to the prior.
 - float64: l itself. A known l of exactly zero is stored as -0.0, which adds and compares like 0.0; all bits
   zero (+0.0) is unknown.
 """
@@ -42,7 +43,8 @@ class Update(NamedTuple):
 
     `free` and `occupied` are the increments, `lower` and `upper` the clamps, `prior` the value that a cell
     without observations starts from. float64: log odds. int16: steps times two; no increment is larger than
-    the distance between the clamps, so that no sum leaves int16.
+    the distance between the clamps, so that no sum leaves int16; a `lower` that rounds to the prior is 1, the
+    known prior, because a free update sets no bit.
     """
 
     free: float | int
@@ -128,7 +130,7 @@ class LogOdds:
         span = upper - lower
         free = max(round(self.d_free / self.step), -span)
         occupied = min(round(self.d_occ / self.step), span)
-        return Update(2 * free, 2 * occupied, 2 * lower, 2 * upper, 0)
+        return Update(2 * free, 2 * occupied, 2 * lower or 1, 2 * upper, 0)
 
     @property
     def _clamps_in_steps(self) -> tuple[int, int]:

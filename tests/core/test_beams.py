@@ -233,3 +233,5 @@ def test_turned_directions_give_the_very_cells_of_the_sum_of_angles(theta, ancho
             assert found[0]
             counts = wanted[1][2] != SKIPPED
             assert np.allclose(found[2][2:, counts], wanted[2][2:, counts], rtol=0, atol=1e-6)
+            steps = (found[1][:2] - found[1][3:])[:, counts]
+            assert (steps * found[2][2:, counts] > 0)[steps != 0].all(), "a line leads to its end cell"

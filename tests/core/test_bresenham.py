@@ -199,6 +199,13 @@ def test_touched_tiles_of_fans_are_those_of_the_cells():
             assert fresh == len(tiles)
 
 
+@pytest.mark.parametrize("end", list(itertools.product((40, 45, 50, 56), repeat=2)))
+def test_a_beam_that_ends_where_it_starts_hides_no_tile_from_the_next_one(end):
+    touched = np.zeros((1, 1), np.int64)
+    beams = beams_of((50, 50), [(50, 50), end])
+    assert bresenham.touch_tiles(beams, CellRect(0, 0, 64, 64), touched, 1) == (end != (50, 50))
+
+
 def test_a_tile_is_fresh_once():
     touched = np.zeros((3, 1), np.int64)
     window = CellRect(0, 0, 192, 64)

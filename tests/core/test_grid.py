@@ -167,6 +167,8 @@ def hammered(model, hits, passes):
         {"p_occ": 1.0, "p_free": 0.0},  # an increment larger than the distance between the clamps
         {"p_occ": 1.0, "p_free": 0.0, "l_min": -40.0, "l_max": 1.0},
         {"p_prior": 0.5, "l_min": -0.001, "l_max": 8.0},
+        {"l_min": -1e-4},  # less than half a step of int16 from the prior
+        {"l_max": 1e-4},
     ],
 )
 def test_clamps_hold_and_are_left_again(cells, model):
