@@ -1,5 +1,9 @@
 """Kernels that turn tiles of int16 cells into deflate's bits, and these into rows of a picture.
 
+Why not a library's deflate, as for all other pictures (ogm_core.png): a live map's picture is asked for after
+every scan, and must cost no more than the tiles that the scan has changed. Libraries code bytes from first to
+last; none keeps the bits of a part, nor puts kept bits together at places that are no whole bytes.
+
 A tile's row of 64 cells becomes greys, and these become runs of equal greys. Its first and its last run are
 kept as they are, because they may go on in the neighbouring tiles; the runs between them are put into bits
 once and for all. A row of the picture is then the tiles' rows one after the other: runs that meet are joined,

@@ -68,7 +68,9 @@ class TilePicture:
 
     def _draw(self, tiles: TileCopies) -> None:
         """Code the tiles that have changed since the last call."""
-        if self._revision < 0:
+        # A picture that is half drawn, because memory gave out, is begun anew by the next call.
+        drawn, self._revision = self._revision, -1
+        if drawn < 0:
             self._begin(tiles)
         else:
             changed = tiles.numbers != placed(self._numbers, self._rect, tiles.rect)
@@ -193,7 +195,8 @@ class TilePicture:
         total, by_column, by_row = (self._sums[self._slots[tx, ty]] - unknown * _SUMS_OF_ONES).T
         x, y = frame.ix - rect.ix + TILE * tx, frame.iy - rect.iy + TILE * ty
         s1 += int(total.sum())
-        s2 += int(((width - x + y * pitch) % _ADLER * total - by_column + pitch * by_row).sum())
+        # Residues, for a long and narrow map would be too much for 64 bits.
+        s2 += int(((width - x + y * pitch) % _ADLER * total - by_column + pitch % _ADLER * by_row).sum())
         return (s2 % _ADLER) << 16 | s1 % _ADLER
 
 

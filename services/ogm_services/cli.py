@@ -15,7 +15,7 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, running_service
 from ogm_services.kernel_cache import kernel_cache
-from ogm_services.loading import load_numba, loading
+from ogm_services.loading import loading
 from ogm_services.options import (
     ConfigFile,
     HttpFlags,
@@ -123,7 +123,6 @@ def mapper(
     settings = settings_from(config, map_flags, mapper_flags, network, http)
     with running_service(), kernel_cache():
         with loading():
-            load_numba()
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
 
@@ -248,7 +247,6 @@ def build(
     settings = settings_from(config, map_flags)
     with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
         with loading():
-            load_numba()
             from ogm_services.build import run_build
         run_build(
             log,

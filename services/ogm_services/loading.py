@@ -1,8 +1,6 @@
-"""How a command loads what it needs: in one go, and no more than that."""
+"""How a command loads what it needs."""
 
 import gc
-import importlib
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -23,20 +21,3 @@ def loading() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
-
-
-def load_numba() -> None:
-    """Load numba, and what it loads with the first kernel, without scipy's linear algebra.
-
-    numba looks for it at that moment, for products of matrices, and importing it takes longer than all
-    kernels together. None of them multiplies matrices. Call it before there are other threads, for it hides
-    the module that they might want.
-    """
-    name = "scipy.linalg"
-    if name in sys.modules:
-        return
-    sys.modules[name] = None  # type: ignore[assignment]  # importing it now fails, as if it were not there
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[name]

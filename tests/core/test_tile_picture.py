@@ -206,6 +206,39 @@ def test_a_full_pool_is_made_anew():
     assert desk.picture._used <= len(desk.picture._pool)
 
 
+def out_of_memory(*_):
+    raise MemoryError
+
+
+@pytest.mark.parametrize("broken", ["code_tiles", "_longer"])
+def test_a_picture_is_whole_after_memory_gave_out(monkeypatch, broken):
+    desk = Desk()
+    desk.fill(1, 1, noise(desk.rng))
+    desk.check()
+    grown = desk.store.grown(CellRect(desk.store.rect.ix - 1, desk.store.rect.iy, 1, 1))
+    grown.take(desk.store)
+    desk.store = grown
+    for tx, ty in np.ndindex(4, 4):
+        desk.fill(tx, ty, stripes(desk.rng))
+    with monkeypatch.context() as patch:
+        patch.setattr(tile_picture, broken, out_of_memory)
+        with pytest.raises(MemoryError):
+            desk.check()
+    desk.check()
+
+
+def test_the_check_sum_of_a_map_of_250_km():
+    """80,000 flat tiles in a row, whose sums would be too large for 64 bits."""
+    picture, tiles = TilePicture(LogOdds().table(PALETTES["ros"])), 80_000
+    picture._rect = CellRect(0, 0, tiles * TILE, TILE)
+    picture._slots = np.ones((tiles, 1), np.uint64)
+    picture._sums = np.zeros((2, 3), np.int64)  # greys of 0
+    check = 1
+    for _ in range(TILE):
+        check = zlib.adler32(bytes(tiles * TILE + 1), check)
+    assert picture._adler(picture._rect) == check
+
+
 def test_an_older_snapshot_is_drawn_after_a_newer_one():
     grid = OccupancyGrid(GridSettings(0.1), "e")
     rng = np.random.default_rng(5)

@@ -12,6 +12,8 @@ from ogm_core.trajectories import CirclePath, WaypointPath
 from ogm_core.types import Pose
 from ogm_core.worlds import dump_world, lab, load_world, office, world_named
 
+TOO_DEEP = "lists and mappings lie in each other more than 50 deep", "exceeded maximum nesting depth"
+"""Our words, and those of a libyaml that has a limit, too."""
 PATH = "path: {circle: [0, 0, 2], poses: 10}\n"
 HALL = """
 name: hall
@@ -246,9 +248,8 @@ def test_deep_nesting_is_refused(text):
     )
     assert ended.returncode == 1
     last = ended.stderr.splitlines()[-1]
-    assert last.startswith(
-        "ogm_core.errors.BadWorld: not YAML that can be read (lists and mappings lie in each other"
-    )
+    assert last.startswith("ogm_core.errors.BadWorld: not YAML that can be read (")
+    assert any(words in last for words in TOO_DEEP)
 
 
 def test_fifty_levels_are_not_too_deep():

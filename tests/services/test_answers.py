@@ -100,12 +100,14 @@ def test_an_answer_is_kept_by_its_format_and_parameters_in_any_order(desk):
 
 def test_what_is_kept_is_bounded(desk, monkeypatch):
     desk.scan(2.0)
-    size = len(desk.answers.map("json", {}).body)
-    monkeypatch.setattr(answers_module, "CACHE_BYTES", 3 * size)
+    size = len(desk.answers.map("json", {}).body) + answers_module.BYTES_BESIDES
+    monkeypatch.setattr(answers_module, "CACHE_BYTES", 4 * size)
     asked = [{"region": f"0,0,{9 + n},1"} for n in range(20)]
-    bodies = [desk.answers.map("json", given).body for given in asked]
-    kept = desk.answers._cache._answers.values()
-    assert sum(len(answer.body) for answer in kept) <= 3 * size
+    bodies, kept = [], []
+    for given in asked:
+        bodies.append(desk.answers.map("json", given).body)
+        kept.append(len(desk.answers._cache._answers))
+    assert kept == [2, 3, 1] + [2, 3, 1] * 5 + [2, 3]
     assert len(set(bodies)) == 1
     monkeypatch.setattr(answers_module, "CACHE_BYTES", size - 1)
     assert desk.answers.map("json", {}).body == desk.answers.map("json", {"region": "0,0,99,1"}).body

@@ -19,6 +19,8 @@ from ogm_services.mapper.observer import Observer
 
 CACHE_BYTES = 64 * 1024**2
 """Encoded maps of the current revision that are kept for the next who asks."""
+BYTES_BESIDES = 4096
+"""What an answer that is kept takes besides its body and what was asked, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +169,7 @@ class _AnswerCache:
             return self._answers.get(key) if new_enough else None
 
     def keep(self, key: object, of: Identity, answer: Answer) -> None:
-        size = len(answer.body) + len(repr(key))
+        size = len(answer.body) + len(repr(key)) + BYTES_BESIDES
         with self._lock:
             if self._of.epoch == of.epoch and self._of.revision > of.revision:
                 return

@@ -16,13 +16,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ogm_core.errors import BadParameter, OgmError
 from ogm_services.answer import Answer, Parameters
-from ogm_services.mapper.answers import CACHE_BYTES, MAP_FORMATS, Answers
+from ogm_services.mapper.answers import BYTES_BESIDES, CACHE_BYTES, MAP_FORMATS, Answers
 from ogm_services.mapper.live_map import Identity
 from ogm_services.mapper.metrics import prometheus_text
 from ogm_services.mapper.problems import MEDIA_TYPE, problem, problem_of, status_of
 
-READY_BYTES_BESIDES = 4096
-"""What a map that is ready to be sent takes besides its body, at most."""
 NO_STORE = {"Cache-Control": "no-store"}
 
 log = logging.getLogger(__name__)
@@ -92,12 +90,15 @@ class _ReadyMaps:
 
     def keep(self, request: Request, answer: Answer) -> Response:
         """The response to a request for a map, kept if the map is still the same."""
-        ready, now, size = _ReadyMap(answer), self._answers.now(), len(answer.body) + READY_BYTES_BESIDES
+        ready, now = _ReadyMap(answer), self._answers.now()
         if ready.of == now[:2]:
+            asked = request.scope["path"], request.scope["query_string"]
+            size = len(answer.body) + sum(map(len, asked)) + BYTES_BESIDES
             if self._of != now or self._size + size > CACHE_BYTES:
                 self._of, self._ready, self._size = now, {}, 0
-            self._ready[request.scope["path"], request.scope["query_string"]] = ready
-            self._size += size
+            if size <= CACHE_BYTES:
+                self._ready[asked] = ready
+                self._size += size
         return ready.response_to(request.scope)
 
 

@@ -1,0 +1,56 @@
+"""Maps that are ready to be sent: as many as there is room for."""
+
+import pytest
+from fastapi import Request
+
+from ogm_services.answer import Answer
+from ogm_services.mapper import http_side
+from ogm_services.mapper.live_map import Identity
+
+META = {"epoch": "e", "revision": 3, "stamp": 7, "resolution": 0.1, "origin": {"x": 0.0, "y": 0.0}}
+
+
+class Map:
+    """Stands for the answers: a map that says how far it has come."""
+
+    identity = Identity("e", 3, 7)
+
+    def now(self):
+        return self.identity
+
+
+def request(query):
+    return Request({"type": "http", "path": "/map.png", "query_string": query, "headers": []})
+
+
+@pytest.fixture
+def ready():
+    return http_side._ReadyMaps(Map())
+
+
+def keep(ready, body, queries):
+    """How many are kept after each query."""
+    counts = []
+    for query in queries:
+        response = ready.keep(request(query), Answer(body, "image/png", META))
+        assert response.body == body
+        counts.append(len(ready._ready))
+    return counts
+
+
+@pytest.mark.parametrize(("body", "query"), [(1_000_000, 10), (10, 1_000_000), (500_000, 500_000), (0, 0)])
+def test_bodies_and_queries_of_any_length_have_the_same_room(ready, monkeypatch, body, query):
+    room = 3 * (body + query + len("/map.png") + 1 + http_side.BYTES_BESIDES)
+    monkeypatch.setattr(http_side, "CACHE_BYTES", room)
+    queries = [b"%d" % k + b"x" * query for k in range(7)]
+    assert keep(ready, bytes(body), queries) == [1, 2, 3, 1, 2, 3, 1]
+    monkeypatch.setattr(http_side, "CACHE_BYTES", room // 4)
+    assert keep(ready, bytes(body), queries[:2]) == [0, 0]
+
+
+def test_what_is_no_longer_the_map_is_not_kept(ready):
+    assert keep(ready, b"old", [b"a", b"b"]) == [1, 2]
+    ready._answers.identity = Identity("e", 4, 8)
+    assert keep(ready, b"old", [b"c"]) == [2]  # of revision 3, which nobody is sent any more
+    ready._answers.identity = Identity("f", 3, 7)
+    assert keep(ready, b"old", [b"c"]) == [2]
