@@ -180,8 +180,7 @@ def touch_tiles(
         if major == 0 or (this == marked and flattest * major < minor < steepest * major):
             continue
         along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
-        whole = k == 1 and last == major and min(i0, j0) >= 0 and i0 < window.width and j0 < window.height
-        flattest, steepest = (0.0, 1.0) if whole else (1.0, 0.0)
+        flattest, steepest = (0.0, 1.0) if k == 1 and last == major else (1.0, 0.0)
         marked = this
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:

@@ -88,6 +88,15 @@ def test_fixed_point_is_exact_for_the_longest_beams(major):
         assert np.array_equal(aside, closed_form(major, minor, k)), minor
 
 
+def test_bias_and_step_are_the_exact_quotients():
+    one = 1 << bresenham.FRACTION_BITS
+    for major in range(1, LONGEST, 1482):
+        barely_more = pow(one, -1, major)  # than a whole number: a remainder of 1
+        for minor in (0, 1, barely_more, major // 3, major // 2, major - 1, major):
+            bias, step = bresenham.fixed_point(major, minor)
+            assert (bias, step) == ((major - 1) * one // 2 // major, -(-minor * one // major)), (major, minor)
+
+
 def test_fixed_point_is_the_integer_error_form_on_random_longer_lines():
     rng = np.random.default_rng(2)
     for major in rng.integers(131, 30_000, 40).tolist():
@@ -197,6 +206,22 @@ def test_touched_tiles_of_fans_are_those_of_the_cells():
             fresh = bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, 896, 768), touched, 3)
             assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
             assert fresh == len(tiles)
+
+
+def test_tiles_of_a_beam_close_to_the_one_before_are_not_missed():
+    # Beams along a tile's edge, beside each other, in and out of a window that ends within tiles.
+    rng = np.random.default_rng(9)
+    width, height = 150, 100
+    for n in range(4000):
+        start = rng.integers(-30, 180, 2) if n % 2 else 64 * rng.integers(0, 3, 2) + rng.integers(-2, 3, 2)
+        end = start + rng.integers(-160, 161, 2)
+        if n % 4 > 1:  # to the edge of a tile
+            end = 64 * np.round(end / 64).astype(int) + rng.integers(-1, 2, 2)
+        start, *ends = (tuple(cell.tolist()) for cell in (start, end, end + rng.integers(-3, 4, 2)))
+        tiles = {(i // 64, j // 64) for e in ends for i, j in path(start, e) if inside((i, j), width, height)}
+        touched = np.zeros((3, 2), np.int64)
+        bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, width, height), touched, 1)
+        assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles, (start, ends)
 
 
 @pytest.mark.parametrize("end", list(itertools.product((40, 45, 50, 56), repeat=2)))

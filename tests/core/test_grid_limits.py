@@ -264,12 +264,16 @@ def test_a_map_may_begin_far_away(far):
     assert_equal(grid, twin)
 
 
-def test_ranges_of_a_kilometre_in_centimetre_cells():
+@pytest.mark.parametrize(
+    ("heading", "rect"), [(EAST, CellRect(6, 5, 99_999, 20)), (NORTH, CellRect(-15, 6, 21, 99_999))]
+)
+def test_ranges_of_a_kilometre_in_centimetre_cells(heading, rect):
     grid = grid_of(resolution=0.01)
     twin = naive.Map(grid.settings)
     scan = scan_of([999.0, 1000.0, math.inf], angle_min=0.0, angle_increment=1e-4, range_max=1000.0)
-    assert grid.integrate(scan, ORIGIN) == twin.integrate(scan, ORIGIN)
-    assert grid.rect == CellRect(6, 5, 99_999, 20)
+    pose = Pose(0.05, 0.05, heading)
+    assert grid.integrate(scan, pose) == twin.integrate(scan, pose)
+    assert grid.rect == rect
     assert_equal(grid, twin)
 
 

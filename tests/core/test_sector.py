@@ -389,6 +389,25 @@ def test_counting_and_kinds_of_the_update_kernel():
     assert spans.extent(found) == (-3, 0, 133, 2)
 
 
+def test_blocks_of_cells_are_updated_as_one_cell_is():
+    rng = np.random.default_rng(12)
+    first = np.sort(rng.choice([0, 1, 2, 62, 63, 64, 65, 100], 64))
+    end = first + rng.choice([1, 2, 61, 62, 63, 64, 65, 66, 92], 64)
+    found = np.array([rng.permutation(64), first, end, rng.choice([FREE, OCCUPIED], 64)], np.int32)
+    columns = np.arange(192)
+    column = (columns // 64) * 64 * 64 + columns % 64
+    window, update = CellRect(0, 0, 150, 60), LogOdds(l_min=-1.0, l_max=3.0).update
+    blocks = rng.integers(update.lower, update.upper, 3 * 64 * 64).astype(np.int16)
+    singly = blocks.copy()
+    for _ in range(3):
+        counts = {
+            spans.update_blocks(found, window, blocks, column, update),
+            spans.update_one_by_one(found, window, singly, column, update),
+        }
+        assert len(counts) == 1
+        assert np.array_equal(blocks, singly)
+
+
 def test_a_span_that_ends_at_a_tiles_edge_touches_no_tile_beyond_it():
     found = np.array([[63, 64], [10, 64], [64, 128], [spans.FREE, spans.OCCUPIED]], np.int32)
     touched = np.zeros((3, 3), np.int64)
