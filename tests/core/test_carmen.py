@@ -12,6 +12,7 @@ from log_lines import flaser, odom, parsed, parsed_twice, robotlaser, same
 from ogm_core.carmen import CarmenLog
 from ogm_core.carmen_mount import mount_of_laser
 from ogm_core.decimals import read_decimals
+from ogm_core.errors import BadMessage
 from ogm_core.types import IDENTITY, Pose
 
 
@@ -279,3 +280,25 @@ def test_odd_ranges_are_read_as_they_always_were(form, odd, at):
 def test_a_count_that_is_wrong_is_told_as_it_always_was(count):
     for form in (flaser, robotlaser):
         read(form([2.5] * 180).replace(b" 180 ", f" {count} ".encode()))
+
+
+@pytest.mark.parametrize("glue", [b"-", b".", b"e", b"_", b"+"])
+def test_a_range_that_runs_into_the_pose_is_not_cut_off(glue):
+    line = flaser([3.75] * 180, pose="1.5 -2.5 0.25")
+    messages, complaints = read(line.replace(b"3.75 1.5", b"3.75" + glue + b"1.5"))
+    assert (len(messages), len(complaints)) == (0, 1)
+
+
+def test_no_room_is_made_for_more_beams_than_are_allowed():
+    counts = []
+
+    def decimals(_, count, *, commas=False):
+        counts.append(count)
+
+    log = CarmenLog(decimals=decimals, max_beams=180)
+    for count in (b"181", b"999999999"):
+        with pytest.raises(BadMessage):
+            log.parse_line(robotlaser([1.5, 2.0]).replace(b" 2 ", b" " + count + b" ", 1))
+    assert counts == []
+    log.parse_line(flaser([2.5] * 180))
+    assert counts == [180]

@@ -239,6 +239,47 @@ def test_the_check_sum_of_a_map_of_250_km():
     assert picture._adler(picture._rect) == check
 
 
+def test_a_map_that_is_reset_and_then_outgrows_what_it_was():
+    grid, rng = OccupancyGrid(GridSettings(0.1), "e"), np.random.default_rng(6)
+    for k in range(8):
+        if k == 3:
+            grid.reset("f")
+        grid.integrate(random_scan(rng, k), Pose(-9.0 * k, 5.0 * k, 0.0))
+        snap = grid.snapshot()
+        assert np.array_equal(pixels(encode_png(snap)), drawn(snap.model, snap.cells, "ros"))
+
+
+def test_greys_that_are_never_0():
+    desk = Desk()
+    desk.picture = TilePicture(np.maximum(LogOdds().table(PALETTES["probability"]), 9))
+    desk.fill(1, 1, noise(desk.rng))
+    copies = copy_tiles(desk.store, desk.revision)
+    grey = pixels(desk.picture.png(copies, desk.store.rect))
+    expected = drawn(LogOdds(), desk.store.read(desk.store.rect), "probability")
+    assert np.array_equal(grey, np.maximum(expected, 9))
+
+
+def test_there_is_room_for_the_bits_of_tiles_that_the_code_does_not_suit(monkeypatch):
+    shares = []
+    join_rows = tile_picture.join_rows
+
+    def measured(*arguments):
+        size = join_rows(*arguments)
+        assert size + 4 <= arguments[-1].nbytes
+        shares.append(size / arguments[-1].nbytes)
+        return size
+
+    monkeypatch.setattr(tile_picture, "join_rows", measured)
+    desk = Desk()
+    for tx, ty in np.ndindex(5, 4):
+        desk.fill(tx, ty, np.full((TILE, TILE), 9001))
+    desk.check()
+    for tx in range(5):
+        desk.fill(tx, 2, noise(desk.rng))
+    desk.check()
+    assert max(shares) > 0.5
+
+
 def test_an_older_snapshot_is_drawn_after_a_newer_one():
     grid = OccupancyGrid(GridSettings(0.1), "e")
     rng = np.random.default_rng(5)

@@ -307,6 +307,12 @@ def test_a_map_that_is_sent_again_is_the_same_in_every_respect(cross):
                 assert len(seen) == 1, (form, method, tag)
 
 
+def test_a_map_that_is_ready_is_not_the_answer_to_other_methods(cross):
+    for _ in range(2):
+        assert cross.http.get("/map.png").status_code == 200
+    assert cross.http.post("/map.png").status_code == 405
+
+
 def test_a_map_is_sent_again_only_as_long_as_it_does_not_change(mapper):
     mapper.draw_cross()
     first = mapper.http.get("/map.png")
