@@ -185,7 +185,7 @@ def touch_tiles(
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
             along = start + sign * k
-            end = min(k + (63 - (along & 63) if sign > 0 else along & 63), last)
+            end = min(k + (TILE - 1 - (along & (TILE - 1)) if sign > 0 else along & (TILE - 1)), last)
             for at in (k, end):
                 s = (bias + at * step) >> FRACTION_BITS
                 place = aside + sign_aside * s
@@ -194,10 +194,10 @@ def touch_tiles(
                     tile = (place >> TILE_BITS, along >> TILE_BITS)
                 fresh += int(touched[tile] == 0)
                 touched[tile] = revision
-                into = place & 63 if sign_aside > 0 else 63 - (place & 63)
+                into = place & (TILE - 1) if sign_aside > 0 else TILE - 1 - (place & (TILE - 1))
                 if s > into:
                     flattest = max(flattest, (s - into - 0.4) / at)
-                steepest = min(steepest, (s - into + 63.4) / at)
+                steepest = min(steepest, (s - into + TILE - 0.6) / at)
             k = end + 1
     return fresh
 
