@@ -2,7 +2,7 @@
 
 A scan's latency is the time from its put to the answer of a get of `status` whose revision counts it:
 revision n is the nth scan put. Three processes share the machine: four robots (see benchmarks.robots), the
-mapper, and this one, which asks again and again over Zenoh, with pauses of a quarter of a millisecond. The
+mapper, and this one, which asks again and again over Zenoh, with pauses of half a millisecond. The
 readers, if any, are a fourth. Every question costs the mapper time; that is part of what is measured.
 """
 
@@ -21,7 +21,7 @@ from benchmarks.workloads import Workload, whole_big
 from ogm_client import MapClient
 
 SECONDS, QUICK_SECONDS, QUICK_SECONDS_READ = 120.0, 10.0, 4.0
-PAUSE = 0.00025
+PAUSE = 0.0005
 """Between two questions, s."""
 SETTLED = 5.0
 """How long after the last put scans may take to be in the map, s; those that are not then are lost."""

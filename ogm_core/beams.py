@@ -88,7 +88,7 @@ def _draw(lines: NDArray[np.float64], k: int, u0: float, v0: float, u: float, v:
     lines[2, k], lines[3, k] = u - u0, v - v0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def project(
     ranges: NDArray[np.float32], beam: BeamModel, sensor: NDArray[np.float64], lattice: Cells, exact: bool
 ) -> tuple[bool, NDArray[np.int64], NDArray[np.float64]]:
@@ -120,7 +120,7 @@ def project(
     return True, cells, lines
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def project_turned(
     ranges: NDArray[np.float32],
     beam: BeamModel,
@@ -195,7 +195,7 @@ def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Cells
     return (longest * (turned + 1.0) + span) / lattice.resolution * 2.0**-49
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def drop_outside(beams: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
     """Skip the beams whose start or end cell lies outside a rectangle of cells.
 

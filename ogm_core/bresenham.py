@@ -123,7 +123,7 @@ def signed(bias: int, step: int, sign: int) -> tuple[int, int]:
     return (bias, step) if sign > 0 else ((1 << FRACTION_BITS) - 1 - bias, -step)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
 
@@ -150,7 +150,7 @@ def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
     return imin, jmin, imax - imin + 1, jmax - jmin + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def touch_tiles(
     beams: NDArray[np.int64],
     window: CellRect,
@@ -221,8 +221,8 @@ def update_cells(
 
     Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
     never updated. Unsigned addresses spare numba's check for negative indices, and signs are part of the
-    numbers that are added. Where j is the major axis a line is cut at the edges of the strips: within a strip
-    the address of its cells is a fixed-point number itself, and one addition a cell is enough.
+    numbers that are added. A line is cut at the edges of the strips: within one, where j is the major axis, the
+    address of its cells is a fixed-point number itself, and one addition a cell is enough.
     """
     updates = 0
     for b in range(beams.shape[1]):

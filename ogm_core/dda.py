@@ -166,7 +166,7 @@ def _last_in_strip(i: int, stairs: Stairs, t: int, last: int) -> int:
     return last_in_strip(t, last, left, stairs.first, stairs.step, stairs.bits)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
 
@@ -191,7 +191,7 @@ def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, i
     return imin, jmin, imax - imin + 1, jmax - jmin + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def touch_tiles(
     beams: NDArray[np.int64],
     lines: NDArray[np.float64],

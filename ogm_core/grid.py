@@ -1,6 +1,11 @@
 """The occupancy map: scans and sensor poses in, snapshots out."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm_core.errors import LimitReached
 from ogm_core.evidence import Evidence, observe
@@ -9,7 +14,7 @@ from ogm_core.lattice import CellRect
 from ogm_core.logodds import Cells
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.strips import StripStore, tiles_met
-from ogm_core.tile_copies import TileCopies, copy_tiles
+from ogm_core.tile_copies import TileCopies, copy_tiles, room_for
 from ogm_core.tiled_cells import Pictures, TiledCells
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
@@ -93,12 +98,16 @@ class OccupancyGrid:
         self.cell_updates += updates
         return updates
 
-    def snapshot(self) -> MapSnapshot:
+    def room_for_snapshot(self) -> Callable[[], NDArray[Any]]:
+        """What makes memory ready for the next snapshot: call it while another thread goes on writing."""
+        return partial(room_for, self._store, self._copies)
+
+    def snapshot(self, room: NDArray[Any] | None = None) -> MapSnapshot:
         """A copy of what is served, with the identity of its revision.
 
-        Only tiles that were written since the last snapshot are copied.
+        Only tiles that were written since the last snapshot are copied, into `room` if it is large enough.
         """
-        self._copies = copy_tiles(self._store, self.revision, self._copies)
+        self._copies = copy_tiles(self._store, self.revision, self._copies, room)
         return MapSnapshot(
             stored=TiledCells(self._copies, self.rect, self.model.dtype, self._pictures),
             model=self.model,

@@ -24,7 +24,7 @@ FREE, OCCUPIED = 1, 2
 """Classes of a span."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every span; width is 0 if there is none."""
     if spans.shape[1] == 0:
@@ -45,7 +45,7 @@ def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, i
     return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def touch_tiles(spans: NDArray[np.int32], window: CellRect, touched: NDArray[np.int64], revision: int) -> int:
     """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
 

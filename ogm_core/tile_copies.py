@@ -68,11 +68,43 @@ class TileCopies:
         return found
 
 
-def copy_tiles(store: StripStore, revision: int, before: TileCopies | None = None) -> TileCopies:
+def room_for(store: StripStore, before: TileCopies | None) -> NDArray[Any]:
+    """Memory for the tiles that `copy_tiles` would copy now, and some more, shape (n, 4096).
+
+    It is there when it returns: copying into new memory takes many times longer than copying. Another thread
+    may write the store meanwhile, since the number is a guess.
+    """
+    stale = int(np.count_nonzero(_to_copy(store, before)[2]))
+    return np.full((stale + stale // 8 + 16, TILE * TILE), 0, store.cells.dtype)
+
+
+def copy_tiles(
+    store: StripStore, revision: int, before: TileCopies | None = None, room: NDArray[Any] | None = None
+) -> TileCopies:
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
 
-    `before` must be of the same store, or of one that it was grown from.
+    `before` must be of the same store, or of one that it was grown from. The copies go into `room`, if that
+    is large enough.
     """
+    numbers, blocks, stale = _to_copy(store, before)
+    first = 1 if before is None else before.next_number
+    which = np.flatnonzero(stale)
+    if room is None or len(room) < len(which) or room.dtype != store.cells.dtype:
+        room = np.empty((len(which), TILE * TILE), store.cells.dtype)
+    tiles = room[: len(which)]
+    np.take(store.cells.reshape(-1, TILE * TILE), which, axis=0, out=tiles, mode="clip")
+    numbers.reshape(-1)[which] = np.arange(first, first + len(which))
+    if len(which):
+        blocks = (*blocks, Block(first, tiles, len(which)))
+    for part in (numbers, tiles):
+        part.flags.writeable = False
+    return TileCopies(store.rect, numbers, blocks, revision, first + len(which))
+
+
+def _to_copy(
+    store: StripStore, before: TileCopies | None
+) -> tuple[NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
+    """Numbers of a store's tiles in the copy `before`, which of its blocks are kept, which tiles are copied."""
     if before is None:
         nowhere = CellRect(store.rect.ix, store.rect.iy, 0, 0)
         before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1)
@@ -80,15 +112,7 @@ def copy_tiles(store: StripStore, revision: int, before: TileCopies | None = Non
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.
     stale = store.touched > before.revision
-    blocks = _kept(before.blocks, numbers, stale)
-    which = np.flatnonzero(stale)
-    tiles = np.take(store.cells.reshape(-1, TILE * TILE), which, axis=0)
-    numbers.reshape(-1)[which] = np.arange(before.next_number, before.next_number + len(which))
-    if len(which):
-        blocks = (*blocks, Block(before.next_number, tiles, len(which)))
-    for part in (numbers, tiles):
-        part.flags.writeable = False
-    return TileCopies(store.rect, numbers, blocks, revision, before.next_number + len(which))
+    return numbers, _kept(before.blocks, numbers, stale), stale
 
 
 def _kept(

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar, cast
 
+from numpy.typing import NDArray
+
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality import Consistency, quality_figures
 from ogm_core.snapshot import MapSnapshot
@@ -86,8 +88,10 @@ class LiveMap:
 
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""
-        with self._reading, self._writing:
-            return self._current_snapshot()
+        with self._reading:
+            room = self._room()
+            with self._writing:
+                return self._current_snapshot(room)
 
     def info(self) -> dict[str, Any]:
         """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
@@ -113,9 +117,11 @@ class LiveMap:
 
     def fresh_quality(self, world: World | None = None) -> dict[str, Any]:
         """The same of this very moment, however long that takes."""
-        with self._reading, self._writing:
-            snapshot = self._current_snapshot()
-            recent, updates = list(self._recent), self._grid.cell_updates
+        with self._reading:
+            room = self._room()
+            with self._writing:
+                snapshot = self._current_snapshot(room)
+                recent, updates = list(self._recent), self._grid.cell_updates
         consistency = Consistency(snapshot, self._grid.settings)
         for placed in recent:
             consistency.add(placed)
@@ -128,11 +134,20 @@ class LiveMap:
         grid, rect = self._grid, self._grid.rect
         return _State(Identity(grid.epoch, grid.revision, grid.stamp), rect.width, rect.height, grid.nbytes)
 
-    def _current_snapshot(self) -> MapSnapshot:
+    def _room(self) -> NDArray[Any] | None:
+        """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""
+        known, now = self._snapshot, self.now
+        if known is not None and (known.epoch, known.revision) == now[:2]:
+            return None
+        with self._writing:
+            make_room = self._grid.room_for_snapshot()
+        return make_room()
+
+    def _current_snapshot(self, room: NDArray[Any] | None) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
         known = self._snapshot
         if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):
-            known = self._snapshot = self._grid.snapshot()
+            known = self._snapshot = self._grid.snapshot(room)
         return known
 
     def _known_cells_now(self) -> int:
