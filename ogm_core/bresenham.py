@@ -221,8 +221,8 @@ def update_cells(
 
     Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
     never updated. Unsigned addresses spare numba's check for negative indices, and signs are part of the
-    numbers that are added. A line is cut at the edges of the strips: within one, where j is the major axis, the
-    address of its cells is a fixed-point number itself, and one addition a cell is enough.
+    numbers that are added. A line is cut at the edges of the strips: within one, where j is the major axis,
+    the address of its cells is a fixed-point number itself, and one addition a cell is enough.
     """
     updates = 0
     for b in range(beams.shape[1]):

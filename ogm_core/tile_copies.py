@@ -104,7 +104,7 @@ def copy_tiles(
 def _to_copy(
     store: StripStore, before: TileCopies | None
 ) -> tuple[NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
-    """Numbers of a store's tiles in the copy `before`, which of its blocks are kept, which tiles are copied."""
+    """Numbers of a store's tiles in the copy `before`, its blocks that are kept, and which tiles to copy."""
     if before is None:
         nowhere = CellRect(store.rect.ix, store.rect.iy, 0, 0)
         before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1)
