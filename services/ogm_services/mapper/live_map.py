@@ -97,7 +97,7 @@ class LiveMap:
         """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
         state = self._state
         return {
-            "known_cells": self._figure(self._known_cells, self._known_cells_now, period=PATIENCE),
+            "known_cells": self._figure(self._known_cells, self._known_cells_now, patient=True),
             "bytes": state.nbytes,
             "width": state.width,
             "height": state.height,
@@ -158,19 +158,20 @@ class LiveMap:
         cached: "_Figure",
         compute: Callable[[], _T],
         world: World | None = None,
-        period: float = FIGURES_PERIOD,
+        *,
+        patient: bool = False,
     ) -> _T:
-        """The cached value, computed anew if the map or the world is another and it is `period` s old.
+        """The cached value, computed anew if the map or the world is another and it is FIGURES_PERIOD old.
 
-        With PATIENCE nobody waits while another one computes: the old value will do.
+        Who is `patient` takes a value of up to PATIENCE, and does not wait while another one computes it.
         """
-        if not cached.lock.acquire(blocking=period < PATIENCE or cached.identity is None):
+        if not cached.lock.acquire(blocking=not patient or cached.identity is None):
             return cast(_T, cached.value)
         try:
             identity = self.identity()
             new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
             changed = identity != cached.identity or world is not cached.world
-            old = time.monotonic() - cached.time >= period
+            old = time.monotonic() - cached.time >= (PATIENCE if patient else FIGURES_PERIOD)
             if new_life or (old and changed):
                 cached.value = compute()
                 cached.identity, cached.world, cached.time = identity, world, time.monotonic()
