@@ -114,6 +114,12 @@ def clipped_line(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def left_in_tile(place: int, sign: int) -> int:
+    """How many more cells of its tile lie ahead of a place, seen along `sign`."""
+    return TILE - 1 - (place & (TILE - 1)) if sign > 0 else place & (TILE - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def signed(bias: int, step: int, sign: int) -> tuple[int, int]:
     """Bias and step whose integer part counts along `sign`: floor of (b + k s) is sign * s(k).
 
@@ -185,7 +191,7 @@ def touch_tiles(
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
             along = start + sign * k
-            end = min(k + (TILE - 1 - (along & (TILE - 1)) if sign > 0 else along & (TILE - 1)), last)
+            end = min(k + left_in_tile(along, sign), last)
             for at in (k, end):
                 s = (bias + at * step) >> FRACTION_BITS
                 place = aside + sign_aside * s
@@ -194,7 +200,7 @@ def touch_tiles(
                     tile = (place >> TILE_BITS, along >> TILE_BITS)
                 fresh += int(touched[tile] == 0)
                 touched[tile] = revision
-                into = place & (TILE - 1) if sign_aside > 0 else TILE - 1 - (place & (TILE - 1))
+                into = left_in_tile(place, -sign_aside)
                 if s > into:
                     flattest = max(flattest, (s - into - 0.4) / at)
                 steepest = min(steepest, (s - into + TILE - 0.6) / at)
@@ -243,7 +249,7 @@ def update_cells(
             k = first
             while k <= last_free:
                 i = i0 + si * k
-                left = TILE - 1 - (i & (TILE - 1)) if si > 0 else i & (TILE - 1)
+                left = left_in_tile(i, si)
                 end = min(k + left, last_free)
                 base = column[np.uint64(i)] + (j0 << TILE_BITS) - si
                 for _ in range(end - k + 1):
@@ -259,7 +265,7 @@ def update_cells(
             while k <= last_free:
                 s = (origin + k * turn) >> FRACTION_BITS
                 i = i0 + s
-                left = TILE - 1 - (i & (TILE - 1)) if si > 0 else i & (TILE - 1)
+                left = left_in_tile(i, si)
                 end = min(k + _LONGEST_PIECE, last_in_strip(k, last_free, left, bias, step, FRACTION_BITS))
                 acc = origin + (k - 1) * turn
                 base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)

@@ -34,11 +34,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.beams import HIT, SKIPPED
-from ogm_core.bresenham import counted_from, last_in_strip, steps_inside
+from ogm_core.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
 from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
-from ogm_core.strips import TILE, TILE_BITS
+from ogm_core.strips import TILE_BITS
 
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""
@@ -157,7 +157,7 @@ def _cell_at(i0: int, j0: int, stairs: Stairs, t: int) -> tuple[int, int]:
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _last_in_strip(i: int, stairs: Stairs, t: int, last: int) -> int:
     """The last step, up to `last`, in the same strip as step `t`, which is in column `i` of the map."""
-    left = TILE - 1 - (i & (TILE - 1)) if stairs.si > 0 else i & (TILE - 1)
+    left = left_in_tile(i, stairs.si)
     row = row_at(stairs, t)
     if stairs.along_i:
         return last if t - row + left >= stairs.columns else min(last, last_in_column(stairs, t - row + left))

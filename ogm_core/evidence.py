@@ -103,13 +103,13 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     window = CellRect(0, 0, 0, 0)
     if bounds is not None:
         window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
-    limits = window, settings.max_cells
     model, resolution = beam_model(scan, settings), float(lattice.resolution)
+    ranges, most = read_only(scan.ranges), settings.max_cells
     rays, quadrants, box, seen = sector.see(
-        read_only(scan.ranges), model, kinds, fan, heading, resolution, fu, fv, *limits
+        ranges, model, kinds, fan, heading, resolution, fu, fv, window, most
     )
-    if bounds is None and box.cells > settings.max_cells:
-        _refuse_early(rays, quadrants, (fu, fv), box, settings.max_cells)
+    if bounds is None and box.cells > most:
+        _refuse_early(rays, quadrants, (fu, fv), box, most)
         seen = sector.spans(rays, quadrants, fu, fv, box)
     return Evidence(spans, (seen,), sensor_cell)
 
