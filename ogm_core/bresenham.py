@@ -12,7 +12,7 @@ no s(k) is nearer than 1 / (2 M) to the next integer without being one. Shifts a
 cell, and k need not begin at 1, so a beam that is clipped at a map's bounds costs only the cells inside.
 
 Cells are addressed as in ogm_core.strips: address(i, j) = column[i] + 64 j. `beams` are the rows of
-ogm_core.projection.Beams.cells, shape (5, N).
+ogm_core.projection.Beams.cells, shape (5, N); `window` and `update` the contents of a CellRect and an Update.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.beams import HIT, SKIPPED
+from ogm_core.beams import HIT, SKIPPED, Plain
 from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
@@ -159,7 +159,7 @@ def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
 @njit(cache=True, error_model="numpy")
 def touch_tiles(
     beams: NDArray[np.int64],
-    window: CellRect,
+    window: Plain,
     touched: NDArray[np.int64],
     revision: int,
 ) -> int:
@@ -172,6 +172,7 @@ def touch_tiles(
     the same octant and the same last tile whose slope lies between `flattest` and `steepest`, which are as
     far as the line of the last marked beam can turn before one of those cells changes its tile.
     """
+    window = CellRect(*window)
     fresh = 0
     marked = 0, 0, 0, 0, 0
     flattest, steepest = 1.0, 0.0
@@ -218,10 +219,10 @@ def last_in_strip(k: int, last: int, left: int, bias: int, step: int, bits: int)
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_cells(
     beams: NDArray[np.int64],
-    window: CellRect,
+    window: Plain,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Update,
+    update: Plain,
 ) -> int:
     """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
 
@@ -230,6 +231,7 @@ def update_cells(
     numbers that are added. A line is cut at the edges of the strips: within one, where j is the major axis,
     the address of its cells is a fixed-point number itself, and one addition a cell is enough.
     """
+    window, update = CellRect(*window), Update(*update)
     updates = 0
     for b in range(beams.shape[1]):
         if beams[2, b] == SKIPPED:

@@ -23,7 +23,8 @@ fraction takes all the bits that the beam's rise leaves; a rise of one row, whic
 have, is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less
 than 1e-6 for every M below 2^20.
 
-`beams` and `lines` are the rows of ogm_core.projection.Beams; cells are addressed as in ogm_core.strips.
+`beams` and `lines` are the rows of ogm_core.projection.Beams, `window` and `update` the contents of a
+CellRect and an Update; cells are addressed as in ogm_core.strips.
 """
 
 import math
@@ -33,7 +34,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.beams import HIT, SKIPPED
+from ogm_core.beams import HIT, SKIPPED, Plain
 from ogm_core.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
 from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
@@ -195,7 +196,7 @@ def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, i
 def touch_tiles(
     beams: NDArray[np.int64],
     lines: NDArray[np.float64],
-    window: CellRect,
+    window: Plain,
     touched: NDArray[np.int64],
     revision: int,
 ) -> int:
@@ -204,6 +205,7 @@ def touch_tiles(
     Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Within a
     strip a beam goes from one row to the next, so it meets every tile from its first cell's to its last's.
     """
+    window = CellRect(*window)
     fresh = 0
     for b in range(beams.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
@@ -223,10 +225,10 @@ def touch_tiles(
 def update_cells(
     beams: NDArray[np.int64],
     lines: NDArray[np.float64],
-    window: CellRect,
+    window: Plain,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Update,
+    update: Plain,
 ) -> int:
     """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
 
@@ -235,6 +237,7 @@ def update_cells(
     changes the address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare
     numba's check for negative indices.
     """
+    window, update = CellRect(*window), Update(*update)
     updates = 0
     for b in range(beams.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)

@@ -20,7 +20,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 from ogm_core.projection import beam_model, project, read_only
-from ogm_core.star import fan_of
+from ogm_core.star import Rays, fan_of, turned
 from ogm_core.strips import StripStore
 from ogm_core.types import PlacedScan
 
@@ -50,11 +50,12 @@ class Evidence:
 
     def touch_tiles(self, touched: NDArray[np.int64], window: CellRect, revision: int) -> int:
         """Write `revision` into every tile with an updated cell in the window; count those that held 0."""
-        return int(self.kernels.touch_tiles(*self.arrays, window, touched, revision))
+        return int(self.kernels.touch_tiles(*self.arrays, tuple(window), touched, revision))
 
     def update_cells(self, store: StripStore, window: CellRect, update: Update) -> int:
         """Update the cells that lie in the window; return the number of cell updates."""
-        return int(self.kernels.update_cells(*self.arrays, window, store.cells, store.column, update))
+        cells, column = store.cells, store.column
+        return int(self.kernels.update_cells(*self.arrays, tuple(window), cells, column, tuple(update)))
 
 
 def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
@@ -103,33 +104,31 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     window = CellRect(0, 0, 0, 0)
     if bounds is not None:
         window = CellRect(bounds.ix - sensor_cell[0], bounds.iy - sensor_cell[1], bounds.width, bounds.height)
-    model, resolution = beam_model(scan, settings), float(lattice.resolution)
-    ranges, most = read_only(scan.ranges), settings.max_cells
-    rays, quadrants, box, seen = sector.see(
-        ranges, model, kinds, fan, heading, resolution, fu, fv, window, most
+    model, ranges, resolution = beam_model(scan, settings), read_only(scan.ranges), float(lattice.resolution)
+    place = heading, fu, fv
+    looked, seen = sector.see(
+        ranges, tuple(model), kinds, tuple(fan), place, resolution, tuple(window), settings.max_cells
     )
-    if bounds is None and box.cells > most:
-        _refuse_early(rays, quadrants, (fu, fv), box, most)
-        seen = sector.spans(rays, quadrants, fu, fv, box)
+    if not looked:
+        star = turned(ranges, model, kinds, fan, heading, resolution)
+        box = CellRect(*sector.box_of(star[0]))
+        _refuse_early(star, (fu, fv), box, settings.max_cells)
+        seen = sector.spans(*star, fu, fv, box)
     return Evidence(spans, (seen,), sensor_cell)
 
 
 def _refuse_early(
-    rays: NDArray[np.float64],
-    quadrants: NDArray[np.int64],
-    place: tuple[float, float],
-    box: CellRect,
-    max_cells: int,
+    star: tuple[Rays, NDArray[np.int64]], place: tuple[float, float], box: CellRect, max_cells: int
 ) -> None:
     """Refuse a scan that is certainly too large for any map, before all its cells are listed.
 
     `place` is where the sensor is within its cell.
     """
-    heights = rays[3, :-1] * rays[1, :-1]
+    heights = star[0][3] * star[0][1]
     extent = CellRect(0, 0, 0, 0)
     for middle in (int(heights.min()), 0, int(heights.max())):
         probe = CellRect(box.ix, middle - _PROBE // 2, box.width, _PROBE)
-        found = CellRect(*spans.extent(sector.spans(rays, quadrants, *place, probe)))
+        found = CellRect(*spans.extent(sector.spans(*star, *place, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
     if extent.cells > max_cells:

@@ -61,17 +61,18 @@ def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exa
     Raises:
         LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
     """
-    ranges, model = read_only(placed.scan.ranges), beam_model(placed.scan, settings)
-    onto = beams.Cells(float(lattice.anchor[0]), float(lattice.anchor[1]), float(lattice.resolution))
-    sensor = sensor_poses(placed)
+    ranges, model = read_only(placed.scan.ranges), tuple(beam_model(placed.scan, settings))
+    onto = float(lattice.anchor[0]), float(lattice.anchor[1]), float(lattice.resolution)
+    projected = Beams(np.empty((5, ranges.size), np.int64), np.empty((4, ranges.size if exact else 0)))
     if placed.sweep is None:
-        turned = directions(model.angle_min, model.angle_increment, ranges.size)
-        addressed, cells, lines = beams.project_turned(ranges, model, sensor, onto, exact, turned)
+        x, y, theta = placed.pose
+        sensor, turned = (float(x), float(y), float(theta)), directions(*model[:2], ranges.size)
+        addressed = beams.project_turned(ranges, model, sensor, onto, *projected, turned)
     else:
-        addressed, cells, lines = beams.project(ranges, model, sensor, onto, exact)
+        addressed = beams.project(ranges, model, placed.sweep.beams, onto, *projected)
     if not addressed:
         raise LimitReached("the sensor or a beam's end is farther away than cells can be addressed")
-    return Beams(cells, lines)
+    return projected
 
 
 def read_only(ranges: Ranges) -> Ranges:
@@ -79,6 +80,8 @@ def read_only(ranges: Ranges) -> Ranges:
     flags = ranges.flags
     if ranges.dtype == np.float32 and flags.c_contiguous and flags.aligned and not flags.writeable:
         return ranges
-    view = np.require(ranges, np.float32, ["C", "A"]).view()
+    view = ranges.view()
+    if ranges.dtype != np.float32 or not (flags.c_contiguous and flags.aligned):
+        view = np.require(ranges, np.float32, ["C", "A"]).view()
     view.flags.writeable = False
     return view

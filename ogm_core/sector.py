@@ -25,15 +25,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.beams import BeamModel
+from ogm_core.beams import BeamModel, Plain
 from ogm_core.lattice import CellRect
 from ogm_core.spans import FREE, OCCUPIED
-from ogm_core.star import Fan, turned
+from ogm_core.star import Fan, Rays, turned
 
 # The classes of a span are also the bits of the outlines that a row is inside of: inner and outer.
 assert (FREE, OCCUPIED) == (1, 2)
-_FAR = 2**30
 _FLAT = 1e-300
+_ROOM = 4096
+"""Spans for which there is room at first."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -53,7 +54,41 @@ def _row(y: float, fv: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ends_of(rays: NDArray[np.float64], fv: float) -> NDArray[np.float64]:
+def box_of(rays: Rays) -> CellRect:
+    """A rectangle around the sensor that holds every span."""
+    far = int(np.ceil(rays[3].max())) + 1
+    return CellRect(-far, -far, 2 * far + 1, 2 * far + 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def see(
+    ranges: NDArray[np.float32],
+    beam: Plain,
+    kinds: NDArray[np.int64],
+    fan: Plain,
+    place: Plain,
+    resolution: float,
+    window: Plain,
+    max_cells: int,
+) -> tuple[bool, NDArray[np.int32]]:
+    """The spans of a scan's star in the `window`, or, if that has no width, in a rectangle around the star.
+
+    The latter is not looked at if it has more than `max_cells`; returns whether it was, too. `beam`, `fan`
+    and `window` are the contents of a BeamModel, a Fan and a CellRect; `place` is the sensor's heading and
+    where it is within its cell.
+    """
+    heading, fu, fv = place
+    rays, quarters = turned(ranges, BeamModel(*beam), kinds, Fan(*fan), heading, resolution)
+    box = CellRect(*window)
+    if box.width == 0:
+        box = box_of(rays)
+        if box.width * box.height > max_cells:
+            return False, np.empty((0, 4), np.int32)
+    return True, spans(rays, quarters, fu, fv, box)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ends_of(rays: Rays, fv: float) -> NDArray[np.float64]:
     """Rows where inner and outer outline leave ray r, and where they come to ray r + 1; shape (4, n)."""
     n = rays.shape[1] - 1
     rows = np.empty((4, n))
@@ -65,40 +100,7 @@ def _ends_of(rays: NDArray[np.float64], fv: float) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def box_of(rays: NDArray[np.float64]) -> CellRect:
-    """A rectangle around the sensor that holds every span."""
-    far = int(np.ceil(rays[3].max())) + 1
-    return CellRect(-far, -far, 2 * far + 1, 2 * far + 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def see(
-    ranges: NDArray[np.float32],
-    beam: BeamModel,
-    kinds: NDArray[np.int64],
-    fan: Fan,
-    heading: float,
-    resolution: float,
-    fu: float,
-    fv: float,
-    window: CellRect,
-    max_cells: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], CellRect, NDArray[np.int32]]:
-    """A scan's star, the rectangle that was looked at, and the spans in it (see `spans`).
-
-    That is the `window`, or, if it has no width, a rectangle around the star; one of more than `max_cells`
-    is not looked at, and there are no spans. For a sensor of this `heading` at (fu, fv) within its cell.
-    """
-    rays, quadrants = turned(ranges, beam, kinds, fan, heading, resolution)
-    if window.width == 0:
-        window = box_of(rays)
-        if window.width * window.height > max_cells:
-            return rays, quadrants, window, np.empty((4, 0), np.int32)
-    return rays, quadrants, window, spans(rays, quadrants, fu, fv, window)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _edges(rows: NDArray[np.float64], quadrants: NDArray[np.int64]) -> NDArray[np.int64]:
+def _edges(rows: NDArray[np.float64], quarters: NDArray[np.int64]) -> NDArray[np.int64]:
     """The star's edges that some row meets, in the order in which the rows meet them; `rows` of `_ends_of`.
 
     At every ray both outlines step to the radii from there on, then they follow their arcs to the next one.
@@ -107,76 +109,117 @@ def _edges(rows: NDArray[np.float64], quadrants: NDArray[np.int64]) -> NDArray[n
     """
     edges = np.empty(4 * rows.shape[1] + 1, np.int64)
     n = 0
-    for r in range(rows.shape[1]):
-        if r > 0:
-            edges[n] = 4 * r + 1
-            n += int(rows[2, r - 1] != rows[0, r])
-            edges[n] = 4 * r + 3
-            n += int(rows[3, r - 1] != rows[1, r])
+    for quadrant in range(4):
         # In the first and third quadrant a row comes from outside, in the others it goes there.
-        first = int(quadrants[r] in (0, 2))
-        edges[n] = 4 * r + 2 * first
-        n += int(rows[first, r] != rows[2 + first, r])
-        edges[n] = 4 * r + 2 * (1 - first)
-        n += int(rows[1 - first, r] != rows[3 - first, r])
+        first = 1 - quadrant % 2
+        for r in range(quarters[quadrant], quarters[quadrant + 1]):
+            if r > 0:
+                edges[n] = 4 * r + 1
+                n += int(rows[2, r - 1] != rows[0, r])
+                edges[n] = 4 * r + 3
+                n += int(rows[3, r - 1] != rows[1, r])
+            edges[n] = 4 * r + 2 * first
+            n += int(rows[first, r] != rows[2 + first, r])
+            edges[n] = 4 * r + 2 * (1 - first)
+            n += int(rows[1 - first, r] != rows[3 - first, r])
     return edges[:n]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spans(
-    rays: NDArray[np.float64], quadrants: NDArray[np.int64], fu: float, fv: float, window: CellRect
+    rays: Rays, quarters: NDArray[np.int64], fu: float, fv: float, window: CellRect
 ) -> NDArray[np.int32]:
     """Cells of each class as spans of rows, for a sensor at (fu, fv) within its cell; no cell twice.
 
-    Returns shape (4, n): row, first column, column after the last, class. Only spans that meet `window` are
-    kept; what lies outside costs neither memory nor, above and below it, time. A cell whose centre is the
-    sensor has no bearing and is left out.
+    Returns the rows of ogm_core.spans, cut off at the `window`: what lies outside costs no memory and, above
+    and below it, no time. A cell whose centre is the sensor has no bearing and is left out.
     """
     rows = _ends_of(rays, fv)
-    edges = _edges(rows, quadrants)
+    edges = _edges(rows, quarters)
     lowest = max(int(rows.min()), window.iy)
     highest = min(int(rows.max()), window.iy + window.height)
+    window = CellRect(window.ix, lowest, window.width, max(highest - lowest, 0))
+    inside = np.zeros(window.height, np.int32)
+    met = np.zeros(window.height, np.int32)
+    found = np.empty((_ROOM, 4), np.int32)
+    k = n = 0
+    while True:
+        k, n = _sweep(rays, rows, edges, k, fu, fv, window, inside, met, found, n)
+        if k == edges.size:
+            break
+        found = np.concatenate((found, np.empty_like(found)))
+    return _without_origin(found[:n]) if fu == 0.5 and fv == 0.5 else found[:n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sweep(
+    rays: Rays,
+    rows: NDArray[np.float64],
+    edges: NDArray[np.int64],
+    k: int,
+    fu: float,
+    fv: float,
+    window: CellRect,
+    inside: NDArray[np.int32],
+    met: NDArray[np.int32],
+    found: NDArray[np.int32],
+    n: int,
+) -> tuple[int, int]:
+    """Let rows meet edges from edge `k` on, and write spans from found[n] on, while there is room for them.
+
+    A row's entries in `inside` and `met` say which outlines it is inside of, and where it met one last.
+    Returns the next edge and the next span.
+    """
     upper = int(_row(0.0, fv))  # the lowest row at or above the sensor
-    inside = np.zeros(max(highest - lowest, 0), np.int64)
-    met = np.empty(inside.size, np.int64)
-    for row in range(inside.size):
-        met[row] = _FAR if row + lowest >= upper else -_FAR
-    found = np.empty((4, 2 * edges.size + 1000), np.int32)
-    n = 0
-    left, right = window.ix, window.ix + window.width
-    pole = fu == 0.5 and fv == 0.5  # the sensor is the centre of its cell
-    for edge in edges:
-        r, outline, step = edge >> 2, (edge >> 1) & 1, edge & 1
+    # Farther than these, in a float that rounds up to the very columns.
+    left, right = window.ix + 0.25 - fu, window.ix + window.width + 0.25 - fu
+    for edge in edges[k:]:
+        r, outline, step = np.uint64(edge >> 2), np.uint64((edge >> 1) & 1), np.uint64(edge & 1)
         first, last = rows[outline + 2 * step, r - step], rows[outline + 2 - 2 * step, r]
-        begin, end = max(int(min(first, last)), lowest), min(int(max(first, last)), highest)
+        begin = max(int(min(first, last)), window.iy)
+        end = min(int(max(first, last)), window.iy + window.height)
+        if n + end - begin > found.shape[0]:
+            break
         c, s, radius = rays[0, r], rays[1, r], rays[2 + outline, r]
+        c_end = rays[0, r + 1 - step]
         # An edge along a row has no slope that a float can hold; they meet anywhere between its ends.
         slope = c / s if abs(s) > _FLAT else 0.0
-        side = math.copysign(1.0, c + rays[0, r + 1])
-        a, b = rays[2 + outline, r - step] * c, radius * rays[0, r + 1 - step]
-        least, greatest = min(a, b), max(a, b)
+        side = math.copysign(1.0, c + c_end)
+        a, b = rays[2 + outline, r - step] * c, radius * c_end
+        least, greatest = min(max(min(a, b), left), right), min(max(max(a, b), left), right)
         above = begin >= upper
-        if n + 2 * (end - begin) > found.shape[1]:
-            more = np.empty((4, found.shape[1] + 2 * (end - begin)), np.int32)
-            found = np.concatenate((found, more), axis=1)
+        toggled = np.int32(outline + 1)
         for row in range(begin, end):
             v = _height(row, fv)
-            arc = side * math.sqrt(max(radius * radius - v * v, 0.0))
-            x = slope * v if step else arc
-            here = int(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
-            at = np.uint64(row - lowest)
+            x = slope * v if step else side * math.sqrt(max(radius * radius - v * v, 0.0))
+            here = np.int32(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
+            at = np.uint64(row - window.iy)
             state, before = inside[at], met[at]
-            inside[at] = state ^ (outline + 1)
-            here = min(here, before) if above else max(here, before)
+            if state:
+                here = min(here, before) if above else max(here, before)
+            inside[at] = state ^ toggled
             met[at] = here
-            start, stop = (here, before) if above else (before, here)
-            if state == 0 or start >= stop or stop <= left or start >= right:
-                continue
-            if pole and row == 0 and start <= 0 < stop:
-                found[0, n], found[1, n], found[2, n], found[3, n] = row, start, 0, 2 - (state & FREE)
-                n += int(start < 0 and left < 0)
-                start = 1
-            found[0, n], found[1, n], found[2, n], found[3, n] = row, start, stop, 2 - (state & FREE)
-            n += int(start < stop and start < right)
-    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
-    return found[:, :n].copy()
+            if state and here != before:
+                found[n, 0], found[n, 3] = row, 2 - (state & FREE)
+                found[n, 1], found[n, 2] = min(here, before), max(here, before)
+                n += 1
+        k += 1
+    return k, n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _without_origin(found: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The same spans without column 0 of row 0."""
+    parts = np.empty((found.shape[0] + 1, 4), np.int32)
+    n = 0
+    for span in found:
+        parts[n] = span
+        if span[0] == 0 and span[1] <= 0 < span[2]:
+            parts[n, 2] = 0
+            n += int(span[1] < 0)
+            parts[n] = span
+            parts[n, 1] = 1
+            n += int(span[2] > 1)
+        else:
+            n += 1
+    return parts[:n]

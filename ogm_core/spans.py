@@ -1,6 +1,8 @@
 """Cells of one class side by side in a row, and what the kernels do with them.
 
-Spans are int32, shape (4, n): row, first column, column after the last, class; no cell is in two of them.
+Spans are int32, shape (n, 4): row, first column, column after the last, class; no cell is in two of them.
+`window` and `update` are the contents of a CellRect and an Update.
+
 Cells are addressed as in ogm_core.strips: in a strip the 64 cells of a row are a block of memory. An int16
 block is always updated whole, a few instructions for 64 cells, and a mask keeps what lies outside the span:
 
@@ -15,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ogm_core.beams import Plain
 from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
@@ -27,10 +30,10 @@ FREE, OCCUPIED = 1, 2
 @njit(cache=True, error_model="numpy")
 def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every span; width is 0 if there is none."""
-    if spans.shape[1] == 0:
+    if spans.shape[0] == 0:
         return 0, 0, 0, 0
-    left, right = spans[1].min(), spans[2].max()
-    bottom, top = spans[0].min(), spans[0].max()
+    left, right = spans[:, 1].min(), spans[:, 2].max()
+    bottom, top = spans[:, 0].min(), spans[:, 0].max()
     return left, bottom, right - left, top - bottom + 1
 
 
@@ -40,21 +43,22 @@ def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, i
 
     A span with nothing inside ends where it begins.
     """
-    j = spans[0, n] - window.iy
-    first, end = max(spans[1, n] - window.ix, 0), min(spans[2, n] - window.ix, window.width)
+    j = spans[n, 0] - window.iy
+    first, end = max(spans[n, 1] - window.ix, 0), min(spans[n, 2] - window.ix, window.width)
     return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
 
 
 @njit(cache=True, error_model="numpy")
-def touch_tiles(spans: NDArray[np.int32], window: CellRect, touched: NDArray[np.int64], revision: int) -> int:
+def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int64], revision: int) -> int:
     """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
 
     Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Spans that
     follow each other mostly meet the same tiles.
     """
+    window = CellRect(*window)
     fresh = 0
     marked, from_left, to_right = -1, 0, 0
-    for n in range(spans.shape[1]):
+    for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         row, left, right = j >> TILE_BITS, first >> TILE_BITS, (end - 1) >> TILE_BITS
         if first == end or (row == marked and from_left <= left and right <= to_right):
@@ -68,10 +72,10 @@ def touch_tiles(spans: NDArray[np.int32], window: CellRect, touched: NDArray[np.
 
 def update_cells(
     spans: NDArray[np.int32],
-    window: CellRect,
+    window: Plain,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Update,
+    update: Plain,
 ) -> int:
     """Add the evidence of the spans to their cells; return the number of cell updates.
 
@@ -84,19 +88,20 @@ def update_cells(
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_one_by_one(
     spans: NDArray[np.int32],
-    window: CellRect,
+    window: Plain,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Update,
+    update: Plain,
 ) -> int:
     """`update_cells` for any type of cells."""
+    window, update = CellRect(*window), Update(*update)
     updates = 0
-    for n in range(spans.shape[1]):
+    for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         updates += end - first
         for i in range(first, end):
             address = np.uint64(column[i] + (j << TILE_BITS))
-            if spans[3, n] == FREE:
+            if spans[n, 3] == FREE:
                 cells[address] = add_free(cells[address], update)
             else:
                 cells[address] = add_occupied(cells[address], update)
@@ -106,26 +111,27 @@ def update_one_by_one(
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_blocks(
     spans: NDArray[np.int32],
-    window: CellRect,
+    window: Plain,
     cells: NDArray[np.int16],
     column: NDArray[np.int64],
-    update: Update,
+    update: Plain,
 ) -> int:
     """`update_cells` for int16: what ogm_core.cell_updates does to one cell, done to 64 at once."""
+    window, update = CellRect(*window), Update(*update)
     floor, less = np.int16(update.lower - update.free), np.int16(update.free)
     ceiling, more = np.int16(update.upper - update.occupied), np.int16(update.occupied)
     inside = np.full((2, 2 * TILE), -1, np.int16)
     inside[0, :TILE] = 0
     inside[1, TILE:] = 0
     updates = 0
-    for n in range(spans.shape[1]):
+    for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         updates += end - first
         while first < end:
             last = min(end - 1, first | (TILE - 1))
             block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - (first & (TILE - 1)))
             left, right = np.uint64(TILE - (first & (TILE - 1))), np.uint64(TILE - 1 - (last & (TILE - 1)))
-            if spans[3, n] != FREE:
+            if spans[n, 3] != FREE:
                 for q in range(np.uint64(TILE)):
                     cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
                     cells[block + q] = cell ^ ((((min(cell, ceiling) + more) | 1) ^ cell) & mask)

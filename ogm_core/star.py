@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.beams import HIT, SKIPPED, BeamModel, classify
+from ogm_core.beams import SKIPPED, BeamModel, reading
 
 TURN = 2.0 * math.pi
 SAME = 1e-12
@@ -36,7 +36,8 @@ class Fan(NamedTuple):
     """The rays between which beams look, in the sensor's frame, counter-clockwise from any one on.
 
     `angles`, rad, float64, ascending, within one turn of the first, which lies in [0, 2 pi); `directions`,
-    shape (2, n), their cosine and sine; `beams`, int64: the beam that looks from there on, -1 if none does.
+    shape (2, n), their cosine and sine; `beams`, int64: the beam that looks from there on, or the number of
+    beams if none does.
     """
 
     angles: NDArray[np.float64]
@@ -58,7 +59,7 @@ def fan_of(angle_min: float, angle_increment: float, count: int) -> Fan:
     # An increment that is lost in rounding leaves a beam no width, and nothing to see.
     seeing = (bearings + half) - (bearings - half) > SAME
     angles = np.stack((before + half, np.where(gap, bearings - half, bearings - between / 2.0)), axis=1)
-    beams = np.stack((np.full(order.size, -1), np.where(seeing, order, -1)), axis=1)
+    beams = np.stack((np.full(order.size, count), np.where(seeing, order, count)), axis=1)
     kept = np.stack((gap, np.ones(order.size, np.bool_)), axis=1)
     angles, beams = angles[kept], beams[kept]
     directions = np.stack((np.cos(angles), np.sin(angles)))
@@ -89,53 +90,82 @@ def turned(
     fan: Fan,
     heading: float,
     resolution: float,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The star of a scan: its rays in one round from the x axis on, and the quadrant (0 to 3) each begins in.
+) -> tuple[Rays, NDArray[np.int64]]:
+    """The star of a scan: its rays in one round from the x axis on, and where each quadrant's begin and end.
 
-    `heading`, rad, in [-pi, pi], is the sensor's. A beam whose entry in `kinds` is SKIPPED does not count; if
-    there are no entries, all count.
+    Those of quadrant q are rays[:, quarters[q] : quarters[q + 1]]. `heading`, rad, in [-pi, pi], is the
+    sensor's. A beam whose entry in `kinds` is SKIPPED does not count; if there are no entries, all count.
     """
+    radii = _radii(ranges, beam, kinds, resolution)
     n = fan.beams.size
-    radii = np.zeros((2, n))
-    for r in range(n):
-        b = fan.beams[r]
-        if b < 0 or (kinds.size > 0 and kinds[b] == SKIPPED):
-            continue
-        kind, length = classify(float(ranges[b]), beam)
-        if kind == SKIPPED:
-            continue
-        thickness = beam.alpha / 2.0 if kind == HIT else 0.0
-        radii[0, r] = max(length - thickness, 0.0) / resolution
-        radii[1, r] = (length + thickness) / resolution
-    first = fan.angles[0] + heading
-    turn = heading - math.floor(first / TURN) * TURN
-    begin = np.searchsorted(fan.angles, TURN - turn)  # from here on a turn has been completed
-    rays = np.zeros((4, n + 5))
-    quadrants = np.zeros(n + 5, np.int64)
-    ch, sh = math.cos(heading), math.sin(heading)
+    turn = heading - math.floor((fan.angles[0] + heading) / TURN) * TURN
+    begin = int(np.searchsorted(fan.angles, TURN - turn))  # from here on a turn has been completed
+    late, early = begin, 0  # in two parts: the fan's rays from `begin` on, then those before
+    rays = np.empty((4, n + 5))
+    quarters = np.empty(5, np.int64)
     m = 0
-    quadrant = -1
-    inner, outer = radii[0, begin - 1], radii[1, begin - 1]
-    for t in range(n + 1):
-        r = begin + t if begin + t < n else begin + t - n
-        angle = fan.angles[r] + turn - (TURN if begin + t < n else 0.0)
-        while quadrant < 3 and (t == n or quadrant == -1 or angle >= (quadrant + 1) * math.pi / 2.0):
-            quadrant += 1
-            rays[0, m], rays[1, m] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quadrant]
-            rays[2, m], rays[3, m] = inner, outer
-            quadrants[m] = quadrant
-            m += 1
-        if t == n:
-            break
-        inner, outer = radii[0, r], radii[1, r]
+    for quadrant in range(4):
+        last = early - 1 if early > 0 else late - 1
+        rays[0, m], rays[1, m] = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quadrant]
+        rays[2, m], rays[3, m] = radii[0, fan.beams[last]], radii[1, fan.beams[last]]
+        quarters[quadrant] = m
+        m += 1
+        end = (quadrant + 1) * math.pi / 2.0 - turn if quadrant < 3 else math.inf
+        until = int(np.searchsorted(fan.angles, end + TURN))
+        m = _lay(rays, m, radii, fan, late, until, heading, quadrant)
+        late = max(late, until)
+        if late == n:
+            until = min(int(np.searchsorted(fan.angles, end)), begin)
+            m = _lay(rays, m, radii, fan, early, until, heading, quadrant)
+            early = max(early, until)
+    rays[0, m], rays[1, m], rays[2, m], rays[3, m] = 1.0, 0.0, 0.0, 0.0
+    quarters[4] = m
+    return rays, quarters
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _radii(
+    ranges: NDArray[np.float32], beam: BeamModel, kinds: NDArray[np.int64], resolution: float
+) -> NDArray[np.float64]:
+    """Inner and outer radius of what every beam sees, cells; shape (2, N + 1), the last is no beam's: 0."""
+    n = ranges.size
+    radii = np.zeros((2, n + 1))
+    half = beam.alpha / 2.0
+    for k in range(n):
+        counts, hit, length = reading(float(ranges[k]), beam)
+        thickness = half if hit else 0.0
+        radii[0, k] = max(length - thickness, 0.0) / resolution if counts else 0.0
+        radii[1, k] = (length + thickness) / resolution if counts else 0.0
+    for k in range(kinds.size):
+        if kinds[k] == SKIPPED:
+            radii[0, k] = radii[1, k] = 0.0
+    return radii
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lay(
+    rays: Rays,
+    m: int,
+    radii: NDArray[np.float64],
+    fan: Fan,
+    first: int,
+    end: int,
+    heading: float,
+    quadrant: int,
+) -> int:
+    """Write the fan's rays `first` to `end`, which the heading turns into one quadrant, from rays[:, m] on.
+
+    Returns where they end. What lies outside the quadrant by rounding is moved to its edge.
+    """
+    ch, sh = math.cos(heading), math.sin(heading)
+    right, top = 1.0 if quadrant in (0, 3) else -1.0, 1.0 if quadrant < 2 else -1.0
+    for k in range(end - first):
+        r, at = np.uint64(first + k), np.uint64(m + k)
         c = ch * fan.directions[0, r] - sh * fan.directions[1, r]
         s = sh * fan.directions[0, r] + ch * fan.directions[1, r]
-        rays[0, m] = max(c, 0.0) if quadrant in (0, 3) else min(c, 0.0)
-        rays[1, m] = max(s, 0.0) if quadrant < 2 else min(s, 0.0)
-        rays[2, m], rays[3, m] = inner, outer
-        quadrants[m] = quadrant
-        m += 1
-    rays[0, m] = 1.0
-    quadrants[m] = 3
-    # Copied: numba takes a part for another kind of array than a whole, and would compile for each.
-    return rays[:, : m + 1].copy(), quadrants[: m + 1].copy()
+        rays[0, at] = right * max(right * c, 0.0)
+        rays[1, at] = top * max(top * s, 0.0)
+    for k in range(end - first):
+        b, at = np.uint64(fan.beams[first + k]), np.uint64(m + k)
+        rays[2, at], rays[3, at] = radii[0, b], radii[1, b]
+    return m + max(end - first, 0)

@@ -12,7 +12,7 @@ from ogm_core.beams import HIT, NO_RETURN, SKIPPED
 from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.projection import beam_model, directions, project, read_only
+from ogm_core.projection import Beams, beam_model, directions, project, read_only
 from ogm_core.types import PlacedScan, Pose, Scan
 
 NAN, INF = math.nan, math.inf
@@ -34,7 +34,13 @@ def cells_of(scan, pose, lattice, settings):
 
 
 def classify(r, range_min, range_max, alpha, clear_range, reach):
-    return beams.classify(r, beams.BeamModel(0.0, 0.1, range_min, range_max, alpha, clear_range, reach))
+    """By the rules, and by the arithmetic that makes them one expression."""
+    model = beams.BeamModel(0.0, 0.1, range_min, range_max, alpha, clear_range, reach)
+    kind, length = beams.classify(r, model)
+    counts, hit, same_length = beams.reading(r, model)
+    assert counts + hit == kind
+    assert not counts or same_length == length
+    return kind, length
 
 
 @pytest.mark.parametrize(
@@ -219,19 +225,19 @@ def test_turned_directions_give_the_very_cells_of_the_sum_of_angles(theta, ancho
     rng = np.random.default_rng(7)
     settings = GridSettings(alpha=0.2, clear_range=5.0, reach=7.0)
     for resolution in (0.05, 0.25, 0.07):
-        lattice = beams.Cells(*anchor, resolution)
+        lattice = *anchor, resolution
         for increment in (math.pi / 180, -math.pi / 2, 0.01):
             ranges = (rng.integers(-2, 200, 300) * resolution).astype(np.float32)
             ranges[::40] = np.inf
             scan = scan_of(ranges, angle_min=-math.pi / 2, angle_increment=increment)
             x, y = anchor + resolution * rng.integers(-50, 50, 2)
-            model, sensor = beam_model(scan, settings), np.array([[x, y, theta]])
-            wanted = beams.project(read_only(ranges), model, sensor, lattice, True)
-            turned = directions(model.angle_min, model.angle_increment, ranges.size)
-            found = beams.project_turned(read_only(ranges), model, sensor, lattice, True, turned)
-            assert np.array_equal(found[1], wanted[1])
-            assert found[0]
-            counts = wanted[1][2] != SKIPPED
-            assert np.allclose(found[2][2:, counts], wanted[2][2:, counts], rtol=0, atol=1e-6)
-            steps = (found[1][:2] - found[1][3:])[:, counts]
-            assert (steps * found[2][2:, counts] > 0)[steps != 0].all(), "a line leads to its end cell"
+            model, sensor = tuple(beam_model(scan, settings)), (float(x), float(y), theta)
+            wanted, found = (Beams(np.empty((5, 300), np.int64), np.empty((4, 300))) for _ in range(2))
+            assert beams.project(read_only(ranges), model, np.array([sensor]), lattice, *wanted)
+            turned = directions(*model[:2], ranges.size)
+            assert beams.project_turned(read_only(ranges), model, sensor, lattice, *found, turned)
+            assert np.array_equal(found.cells, wanted.cells)
+            counts = wanted.cells[2] != SKIPPED
+            assert np.allclose(found.lines[2:, counts], wanted.lines[2:, counts], rtol=0, atol=1e-6)
+            steps = (found.cells[:2] - found.cells[3:])[:, counts]
+            assert (steps * found.lines[2:, counts] > 0)[steps != 0].all(), "a line leads to its end cell"

@@ -69,7 +69,7 @@ def assert_every_cell(scan, pose, settings):
     i0, j0 = math.floor(u), math.floor(v)
     rect = CellRect(i0 - around, j0 - around, 2 * around, 2 * around)
     found = np.zeros((rect.height, rect.width), np.int8)
-    for row, first, end, kind in seen.T.tolist():
+    for row, first, end, kind in seen.tolist():
         assert first < end
         assert not found[row + around, first + around : end + around].any(), "a cell is updated twice"
         found[row + around, first + around : end + around] = kind
@@ -361,11 +361,11 @@ def test_far_beams_of_fine_cells():
     pose = Pose(0.0012, 0.0031, 0.3)
     bearings, kinds, lengths = beams_of(scan, settings)
     seen = observe(PlacedScan(scan, pose), settings).arrays[0]
-    assert seen.shape[1] > 50_000
+    assert seen.shape[0] > 50_000
     fu, fv = pose.x / 0.005, pose.y / 0.005
     model = pose.theta, bearings, 0.5e-5, kinds, lengths, settings.alpha
     wrong = 0
-    for row, first, end, kind in seen[:, :: seen.shape[1] // 2000].T.tolist():
+    for row, first, end, kind in seen[:: seen.shape[0] // 2000].tolist():
         for i, expected in ((first, kind), (end - 1, kind)):
             dx, dy = (i + 0.5 - fu) * 0.005, (row + 0.5 - fv) * 0.005
             wrong += sector_class(dx, dy, *model) != expected
@@ -374,7 +374,7 @@ def test_far_beams_of_fine_cells():
 
 def test_counting_and_kinds_of_the_update_kernel():
     found = np.array(
-        [[0, 1, 1], [-3, 60, 70], [5, 70, 130], [spans.FREE, spans.FREE, spans.OCCUPIED]], np.int32
+        [[0, -3, 5, spans.FREE], [1, 60, 70, spans.FREE], [1, 70, 130, spans.OCCUPIED]], np.int32
     )
     columns = np.arange(192)
     column = (columns // 64) * 64 * 64 + columns % 64
@@ -393,7 +393,8 @@ def test_blocks_of_cells_are_updated_as_one_cell_is():
     rng = np.random.default_rng(12)
     first = np.sort(rng.choice([0, 1, 2, 62, 63, 64, 65, 100], 64))
     end = first + rng.choice([1, 2, 61, 62, 63, 64, 65, 66, 92], 64)
-    found = np.array([rng.permutation(64), first, end, rng.choice([FREE, OCCUPIED], 64)], np.int32)
+    kinds = rng.choice([FREE, OCCUPIED], 64)
+    found = np.stack((rng.permutation(64), first, end, kinds), axis=1).astype(np.int32)
     columns = np.arange(192)
     column = (columns // 64) * 64 * 64 + columns % 64
     window, update = CellRect(0, 0, 150, 60), LogOdds(l_min=-1.0, l_max=3.0).update
@@ -409,7 +410,7 @@ def test_blocks_of_cells_are_updated_as_one_cell_is():
 
 
 def test_a_span_that_ends_at_a_tiles_edge_touches_no_tile_beyond_it():
-    found = np.array([[63, 64], [10, 64], [64, 128], [spans.FREE, spans.OCCUPIED]], np.int32)
+    found = np.array([[63, 10, 64, spans.FREE], [64, 64, 128, spans.OCCUPIED]], np.int32)
     touched = np.zeros((3, 3), np.int64)
     assert spans.touch_tiles(found, CellRect(0, 0, 192, 192), touched, 4) == 2
     assert np.argwhere(touched == 4).tolist() == [[0, 0], [1, 1]]
