@@ -5,6 +5,7 @@ import dataclasses
 import logging
 import math
 import socket
+import sys
 import threading
 import uuid
 from contextlib import ExitStack
@@ -41,6 +42,8 @@ from ogm_services.start_map import started_grid
 LIVE_MAP = "live map"
 """What the line with the URL begins with that a mapper prints when it is ready."""
 WAKE_PERIOD = 0.5
+SWITCH_INTERVAL = 0.0005
+"""How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 GRACE = 2
 """How long open HTTP connections may take to finish when the mapper stops, s."""
 
@@ -63,6 +66,7 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     """
     if out is not None:
         check_folder(out)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     service = MapperService(settings)
     try:
         with service:
