@@ -186,11 +186,8 @@ def project_turned(
         cells[2, k] = int(counts) + int(hit) + (_CLOSE if close else 0)
         cells[3, k] = i0 if counts else 0
         cells[4, k] = j0 if counts else 0
-        if exact:
-            lines[0, k] = 1.0 - fu if u > fu else fu
-            lines[1, k] = 1.0 - fv if v > fv else fv
-            lines[2, k] = u - fu
-            lines[3, k] = v - fv
+    if exact:
+        _draw_turned(lines, ranges, beam, directions, fu, fv, c, s)
     if close_calls:
         for k in range(n):
             if cells[2, k] & _CLOSE:
@@ -200,6 +197,31 @@ def project_turned(
                 if exact:  # a line must lead to its beam's end cell, be that beyond an edge by rounding only
                     _draw(lines, k, u0, v0, u, v)
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_turned(
+    lines: NDArray[np.float64],
+    ranges: NDArray[np.float32],
+    beam: BeamModel,
+    directions: NDArray[np.float64],
+    fu: float,
+    fv: float,
+    c: float,
+    s: float,
+) -> None:
+    """Write the lines of all beams from (fu, fv) in the sensor's cell, by the arithmetic of `project_turned`.
+
+    In a loop of its own, because few need them: the other one takes half the time without.
+    """
+    for k in range(ranges.size):
+        counts, _, length = reading(float(ranges[k]), beam)
+        length = length if counts else 0.0
+        u = fu + length * (c * directions[0, k] - s * directions[1, k])
+        v = fv + length * (s * directions[0, k] + c * directions[1, k])
+        lines[0, k] = 1.0 - fu if u > fu else fu
+        lines[1, k] = 1.0 - fv if v > fv else fv
+        lines[2, k], lines[3, k] = u - fu, v - fv
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -26,6 +26,7 @@ from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 from ogm_core.strips import TILE, TILE_BITS
+from ogm_core.tile_marks import touch, touch_rows
 
 FRACTION_BITS = 42
 _ONE = 2.0**FRACTION_BITS
@@ -167,44 +168,22 @@ def touch_tiles(
 
     Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Between two
     tile edges of its major axis a line meets at most two tiles: those of the piece's first and last cell.
-
-    A scan's beams fan out from one cell, and most of them meet the very tiles of the one before: those of
-    the same octant and the same last tile whose slope lies between `flattest` and `steepest`, which are as
-    far as the line of the last marked beam can turn before one of those cells changes its tile.
     """
     window = CellRect(*window)
     fresh = 0
-    marked = 0, 0, 0, 0, 0
-    flattest, steepest = 1.0, 0.0
     for b in range(beams.shape[1]):
         if beams[2, b] == SKIPPED:
             continue
         i0, j0, i1, j1 = counted_from(window, beams, b)
-        di, dj = abs(i1 - i0), abs(j1 - j0)
-        octant = 4 * int(di >= dj) + 2 * int(i1 > i0) + int(j1 > j0)
-        this = i0, j0, i1 >> TILE_BITS, j1 >> TILE_BITS, octant
-        major, minor = max(di, dj), min(di, dj)
-        if major == 0 or (this == marked and flattest * major < minor < steepest * major):
-            continue
         along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
-        flattest, steepest = (0.0, 1.0) if k == 1 and last == major else (1.0, 0.0)
-        marked = this
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
             along = start + sign * k
             end = min(k + left_in_tile(along, sign), last)
             for at in (k, end):
-                s = (bias + at * step) >> FRACTION_BITS
-                place = aside + sign_aside * s
-                tile = (along >> TILE_BITS, place >> TILE_BITS)
-                if not along_i:
-                    tile = (place >> TILE_BITS, along >> TILE_BITS)
-                fresh += int(touched[tile] == 0)
-                touched[tile] = revision
-                into = left_in_tile(place, -sign_aside)
-                if s > into:
-                    flattest = max(flattest, (s - into - 0.4) / at)
-                steepest = min(steepest, (s - into + TILE - 0.6) / at)
+                place = aside + sign_aside * ((bias + at * step) >> FRACTION_BITS)
+                i, j = (along, place) if along_i else (place, along)
+                fresh += touch(touched, i, j, revision)
             k = end + 1
     return fresh
 
@@ -220,19 +199,23 @@ def last_in_strip(k: int, last: int, left: int, bias: int, step: int, bits: int)
 def update_cells(
     beams: NDArray[np.int64],
     window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
     update: Plain,
-) -> int:
-    """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
+) -> tuple[int, int]:
+    """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
-    Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
-    never updated. Unsigned addresses spare numba's check for negative indices, and signs are part of the
-    numbers that are added. A line is cut at the edges of the strips: within one, where j is the major axis,
-    the address of its cells is a fixed-point number itself, and one addition a cell is enough.
+    Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
+    the store of `cells` and `touched` begins in its corner. The sensor's own cell is never updated.
+
+    Unsigned addresses spare numba's check for negative indices, and signs are part of the numbers that are
+    added. A line is cut at the edges of the strips: within one, where j is the major axis, the address of its
+    cells is a fixed-point number itself, and one addition a cell is enough.
     """
     window, update = CellRect(*window), Update(*update)
-    updates = 0
+    updates = fresh = 0
     for b in range(beams.shape[1]):
         if beams[2, b] == SKIPPED:
             continue
@@ -254,11 +237,13 @@ def update_cells(
                 left = left_in_tile(i, si)
                 end = min(k + left, last_free)
                 base = column[np.uint64(i)] + (j0 << TILE_BITS) - si
+                fresh += touch(touched, i, j0 + ((acc + gain) >> FRACTION_BITS), revision)
                 for _ in range(end - k + 1):
                     acc += gain
                     base += si
                     address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
                     cells[address] = add_free(cells[address], update)
+                fresh += touch(touched, i, j0 + (acc >> FRACTION_BITS), revision)
                 k = end + 1
         else:
             origin, turn = signed(bias, step, si)
@@ -269,6 +254,7 @@ def update_cells(
                 i = i0 + s
                 left = left_in_tile(i, si)
                 end = min(k + _LONGEST_PIECE, last_in_strip(k, last_free, left, bias, step, FRACTION_BITS))
+                fresh += touch_rows(touched, i, j0 + sj * k, j0 + sj * end, revision)
                 acc = origin + (k - 1) * turn
                 base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)
                 for _ in range(end - k + 1):
@@ -279,4 +265,5 @@ def update_cells(
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
             cells[address] = add_occupied(cells[address], update)
-    return updates
+            fresh += touch(touched, i1, j1, revision)
+    return updates, fresh

@@ -40,6 +40,7 @@ from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 from ogm_core.strips import TILE_BITS
+from ogm_core.tile_marks import touch, touch_rows
 
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""
@@ -212,11 +213,7 @@ def touch_tiles(
         while t <= last:
             i, j = _cell_at(i0, j0, stairs, t)
             end = _last_in_strip(i, stairs, t, last)
-            strip, tile = i >> TILE_BITS, j >> TILE_BITS
-            last_tile = _cell_at(i0, j0, stairs, end)[1] >> TILE_BITS
-            for ty in range(min(tile, last_tile), max(tile, last_tile) + 1):
-                fresh += int(touched[strip, ty] == 0)
-                touched[strip, ty] = revision
+            fresh += touch_rows(touched, i, j, _cell_at(i0, j0, stairs, end)[1], revision)
             t = end + 1
     return fresh
 
@@ -226,19 +223,23 @@ def update_cells(
     beams: NDArray[np.int64],
     lines: NDArray[np.float64],
     window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
     update: Plain,
-) -> int:
-    """Add the scan's evidence to the cells, beam after beam; return the number of cell updates.
+) -> tuple[int, int]:
+    """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
-    Only cells in `window` are touched; the store of `cells` begins in its corner. The sensor's own cell is
-    never updated. A beam is cut where it enters another strip: within one, every step along the major axis
-    changes the address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare
-    numba's check for negative indices.
+    Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
+    the store of `cells` and `touched` begins in its corner. The sensor's own cell is never updated.
+
+    A beam is cut where it enters another strip: within one, every step along the major axis changes the
+    address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare numba's check
+    for negative indices.
     """
     window, update = CellRect(*window), Update(*update)
-    updates = 0
+    updates = fresh = 0
     for b in range(beams.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
         if t > last:
@@ -253,6 +254,7 @@ def update_cells(
         while t <= last_free:
             i, j = _cell_at(i0, j0, stairs, t)
             end = _last_in_strip(i, stairs, t, last_free)
+            fresh += touch_rows(touched, i, j, _cell_at(i0, j0, stairs, end)[1], revision)
             acc = stairs.first + (t - 1) * step
             base = column[np.uint64(i)] + (j << TILE_BITS) - ((acc + step) >> bits) * climb - ahead
             for _ in range(end - t + 1):
@@ -265,4 +267,5 @@ def update_cells(
             i, j = beams[0, b] - window.ix, beams[1, b] - window.iy
             address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
             cells[address] = add_occupied(cells[address], update)
-    return updates
+            fresh += touch(touched, i, j, revision)
+    return updates, fresh

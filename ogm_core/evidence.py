@@ -1,9 +1,9 @@
 """What a placed scan says about which cells: the sensor models behind one face.
 
 A scan is read beam by beam (ogm_core.bresenham, ogm_core.dda) or as sectors (ogm_core.sector). Each of these
-three modules of kernels answers the same questions: which rectangle do the updated cells fill, which tiles,
-and then: update them. Only that, and what finds a scan's sectors, lets go of Python's global lock: to take it
-again costs a thread more than the other kernels, which take microseconds.
+three modules of kernels does the same things: it tells which rectangle the updated cells fill, counts the
+tiles that they need, and updates them. Only the last, and what finds a scan's sectors, lets go of Python's
+global lock: to take it again costs a thread more than the other kernels, which take microseconds.
 """
 
 import math
@@ -48,14 +48,17 @@ class Evidence:
             store.rect.ix - self.base[0], store.rect.iy - self.base[1], inside.width, inside.height
         )
 
-    def touch_tiles(self, touched: NDArray[np.int64], window: CellRect, revision: int) -> int:
-        """Write `revision` into every tile with an updated cell in the window; count those that held 0."""
-        return int(self.kernels.touch_tiles(*self.arrays, tuple(window), touched, revision))
+    def new_tiles(self, store: StripStore, window: CellRect) -> int:
+        """How many tiles `update_cells` would write that were never written before."""
+        return int(self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched.copy(), 1))
 
-    def update_cells(self, store: StripStore, window: CellRect, update: Update) -> int:
-        """Update the cells that lie in the window; return the number of cell updates."""
-        cells, column = store.cells, store.column
-        return int(self.kernels.update_cells(*self.arrays, tuple(window), cells, column, tuple(update)))
+    def update_cells(self, store: StripStore, window: CellRect, revision: int, update: Update) -> int:
+        """Update the cells that lie in the window, at `revision`; return the number of cell updates."""
+        updates, fresh = self.kernels.update_cells(
+            *self.arrays, tuple(window), store.touched, revision, store.cells, store.column, tuple(update)
+        )
+        store.tiles_used += fresh
+        return int(updates)
 
 
 def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:

@@ -142,8 +142,7 @@ class OccupancyGrid:
             store.take(self._store)
             self._store = store
         window = evidence.window(store, inside)
-        store.tiles_used += evidence.touch_tiles(store.touched, window, self.revision + 1)
-        updates = evidence.update_cells(store, window, self.model.update)
+        updates = evidence.update_cells(store, window, self.revision + 1, self.model.update)
         self._known = known
         return updates
 
@@ -152,7 +151,6 @@ class OccupancyGrid:
         room = (self.settings.max_bytes - store.nbytes) // store.tile_bytes
         if tiles_met(updated) <= room or store.untouched_tiles(updated) <= room:
             return
-        window = evidence.window(store, self.bounds or store.rect)
-        fresh = evidence.touch_tiles(store.touched.copy(), window, self.revision + 1)
+        fresh = evidence.new_tiles(store, evidence.window(store, self.bounds or store.rect))
         if fresh > room:
             raise LimitReached(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")

@@ -22,6 +22,7 @@ from ogm_core.cell_updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.logodds import Update
 from ogm_core.strips import TILE, TILE_BITS
+from ogm_core.tile_marks import touch
 
 FREE, OCCUPIED = 1, 2
 """Classes of a span."""
@@ -32,8 +33,11 @@ def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every span; width is 0 if there is none."""
     if spans.shape[0] == 0:
         return 0, 0, 0, 0
-    left, right = spans[:, 1].min(), spans[:, 2].max()
-    bottom, top = spans[:, 0].min(), spans[:, 0].max()
+    bottom, left, right = spans[0, 0], spans[0, 1], spans[0, 2]
+    top = bottom
+    for n in range(spans.shape[0]):
+        bottom, top = min(bottom, spans[n, 0]), max(top, spans[n, 0])
+        left, right = min(left, spans[n, 1]), max(right, spans[n, 2])
     return left, bottom, right - left, top - bottom + 1
 
 
@@ -48,7 +52,7 @@ def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, i
     return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int64], revision: int) -> int:
     """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
 
@@ -65,35 +69,41 @@ def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int
             continue
         marked, from_left, to_right = row, left, right
         for tx in range(left, right + 1):
-            fresh += int(touched[tx, row] == 0)
-            touched[tx, row] = revision
+            fresh += touch(touched, tx << TILE_BITS, j, revision)
     return fresh
 
 
 def update_cells(
     spans: NDArray[np.int32],
     window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
     update: Plain,
-) -> int:
-    """Add the evidence of the spans to their cells; return the number of cell updates.
+) -> tuple[int, int]:
+    """Add the evidence of the spans to their cells, and write `revision` into their tiles.
 
-    Only cells in `window` are touched; the store of `cells` begins in its corner.
+    Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
+    the store of `cells` and `touched` begins in its corner.
     """
     kernel = update_blocks if cells.dtype == np.int16 else update_one_by_one
-    return int(kernel(spans, window, cells, column, update))
+    updates, fresh = kernel(spans, window, touched, revision, cells, column, update)
+    return updates, fresh
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_one_by_one(
     spans: NDArray[np.int32],
     window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
     update: Plain,
-) -> int:
+) -> tuple[int, int]:
     """`update_cells` for any type of cells."""
+    fresh = touch_tiles(spans, window, touched, revision)
     window, update = CellRect(*window), Update(*update)
     updates = 0
     for n in range(spans.shape[0]):
@@ -105,18 +115,21 @@ def update_one_by_one(
                 cells[address] = add_free(cells[address], update)
             else:
                 cells[address] = add_occupied(cells[address], update)
-    return updates
+    return updates, fresh
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_blocks(
     spans: NDArray[np.int32],
     window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
     cells: NDArray[np.int16],
     column: NDArray[np.int64],
     update: Plain,
-) -> int:
+) -> tuple[int, int]:
     """`update_cells` for int16: what ogm_core.cell_updates does to one cell, done to 64 at once."""
+    fresh = touch_tiles(spans, window, touched, revision)
     window, update = CellRect(*window), Update(*update)
     floor, less = np.int16(update.lower - update.free), np.int16(update.free)
     ceiling, more = np.int16(update.upper - update.occupied), np.int16(update.occupied)
@@ -143,4 +156,4 @@ def update_blocks(
                     cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
                     cells[block + q] = cell + ((max(cell, floor) - cell + less) & mask)
             first = last + 1
-    return updates
+    return updates, fresh

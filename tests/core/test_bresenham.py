@@ -9,6 +9,7 @@ import naive
 from ogm_core import bresenham
 from ogm_core.beams import HIT, NO_RETURN, SKIPPED
 from ogm_core.lattice import CellRect
+from ogm_core.logodds import LogOdds
 
 LONGEST = 1_482_910
 """The largest M below 2^20.5."""
@@ -27,6 +28,17 @@ def beams_of(start, cells, kinds=None):
 
 def random_cells(rng, low, high, count):
     return [tuple(map(int, cell)) for cell in rng.integers(low, high, (count, 2))]
+
+
+def touch(beams, window, touched, revision):
+    """How many tiles are fresh, to the kernel that updates the cells and to the one that only counts."""
+    counted, columns = touched.copy(), np.arange(64 * touched.shape[0])
+    column = (columns // 64) * touched.shape[1] * 4096 + columns % 64
+    cells = np.zeros(touched.size * 4096, np.int16)
+    _, fresh = bresenham.update_cells(beams, window, touched, revision, cells, column, LogOdds().update)
+    assert bresenham.touch_tiles(beams, window, counted, revision) == fresh
+    assert np.array_equal(counted, touched)
+    return fresh
 
 
 def path(start, end):
@@ -185,13 +197,12 @@ def test_touched_tiles_are_those_of_the_cells(low, high):
         }
         touched = np.zeros((10, 7), np.int64)
         window = CellRect(0, 0, width, height)
-        fresh = bresenham.touch_tiles(beams_of(start, cells, kinds), window, touched, 9)
+        fresh = touch(beams_of(start, cells, kinds), window, touched, 9)
         assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
         assert fresh == len(tiles)
 
 
 def test_touched_tiles_of_fans_are_those_of_the_cells():
-    # Neighbours in a fan mostly meet the same tiles, and are then not looked at again.
     rng = np.random.default_rng(8)
     for size in (20, 90, 300):
         for _ in range(6):
@@ -203,12 +214,12 @@ def test_touched_tiles_of_fans_are_those_of_the_cells():
             tiles = {(i // 64, j // 64) for end in ends for i, j in path(start, end)}
             tiles = {(i, j) for i, j in tiles if 0 <= i < 14 and 0 <= j < 12}
             touched = np.zeros((14, 12), np.int64)
-            fresh = bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, 896, 768), touched, 3)
+            fresh = touch(beams_of(start, ends), CellRect(0, 0, 896, 768), touched, 3)
             assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles
             assert fresh == len(tiles)
 
 
-def test_tiles_of_a_beam_close_to_the_one_before_are_not_missed():
+def test_tiles_of_beams_side_by_side_are_not_missed():
     # Beams along a tile's edge, beside each other, in and out of a window that ends within tiles.
     rng = np.random.default_rng(9)
     width, height = 150, 100
@@ -220,7 +231,7 @@ def test_tiles_of_a_beam_close_to_the_one_before_are_not_missed():
         start, *ends = (tuple(cell.tolist()) for cell in (start, end, end + rng.integers(-3, 4, 2)))
         tiles = {(i // 64, j // 64) for e in ends for i, j in path(start, e) if inside((i, j), width, height)}
         touched = np.zeros((3, 2), np.int64)
-        bresenham.touch_tiles(beams_of(start, ends), CellRect(0, 0, width, height), touched, 1)
+        touch(beams_of(start, ends), CellRect(0, 0, width, height), touched, 1)
         assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles, (start, ends)
 
 
@@ -228,15 +239,15 @@ def test_tiles_of_a_beam_close_to_the_one_before_are_not_missed():
 def test_a_beam_that_ends_where_it_starts_hides_no_tile_from_the_next_one(end):
     touched = np.zeros((1, 1), np.int64)
     beams = beams_of((50, 50), [(50, 50), end])
-    assert bresenham.touch_tiles(beams, CellRect(0, 0, 64, 64), touched, 1) == (end != (50, 50))
+    assert touch(beams, CellRect(0, 0, 64, 64), touched, 1) == (end != (50, 50))
 
 
 def test_a_tile_is_fresh_once():
     touched = np.zeros((3, 1), np.int64)
     window = CellRect(0, 0, 192, 64)
     beam = beams_of((10, 5), [(100, 5)])
-    assert bresenham.touch_tiles(beam, window, touched, 1) == 2
-    assert bresenham.touch_tiles(beam, window, touched, 2) == 0
+    assert touch(beam, window, touched, 1) == 2
+    assert touch(beam, window, touched, 2) == 0
     assert touched.ravel().tolist() == [2, 2, 0]
-    assert bresenham.touch_tiles(beams_of((100, 5), [(190, 5)]), window, touched, 3) == 1
+    assert touch(beams_of((100, 5), [(190, 5)]), window, touched, 3) == 1
     assert touched.ravel().tolist() == [2, 3, 3]

@@ -42,8 +42,14 @@ class Sheet:
         self.cells = np.zeros(side * side)
 
     def visit(self, beams, window=None):
-        """{(i, j): value} of the cells that the kernel updates; the sheet is blank afterwards."""
-        updates = dda.update_cells(*beams, window or self.window, self.cells, self.column, COUNTING)
+        """{(i, j): value} of the cells that the kernel updates; the sheet is blank afterwards.
+
+        `touched` has the tiles that it marked.
+        """
+        side = self.window.width
+        window, self.touched = window or self.window, np.zeros((side // 64, side // 64), np.int64)
+        updates, fresh = dda.update_cells(*beams, window, self.touched, 5, self.cells, self.column, COUNTING)
+        assert fresh == np.count_nonzero(self.touched)
         places = np.flatnonzero(self.cells)
         strip, rest = np.divmod(places, 64 * self.window.height)
         i, j = self.window.ix + strip * 64 + rest % 64, self.window.iy + rest // 64
@@ -201,10 +207,11 @@ def test_touched_tiles_are_those_of_the_updated_cells(low):
     for n, ray in enumerate(rays):
         if n % 3 == 0:  # along the edges of tiles
             ray = [64.0 * round(x / 64) + rng.choice((-0.5, 0.0, 0.5, 1.5)) for x in ray]
-        beams = beams_of([ray])
+        beams = beams_of([ray], [HIT if n % 2 else NO_RETURN])
         _, found = sheet.visit(beams)
         tiles = {(i // 64, j // 64) for i, j in found}
         touched = np.zeros((7, 7), np.int64)
         assert dda.touch_tiles(*beams, sheet.window, touched, 5) == len(tiles), ray
         assert set(zip(*map(np.ndarray.tolist, np.nonzero(touched)), strict=True)) == tiles, ray
+        assert np.array_equal(sheet.touched, touched)
         assert dda.touch_tiles(*beams, sheet.window, touched, 6) == 0

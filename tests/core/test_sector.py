@@ -380,7 +380,10 @@ def test_counting_and_kinds_of_the_update_kernel():
     column = (columns // 64) * 64 * 64 + columns % 64
     cells = np.zeros(3 * 64 * 64, np.int16)
     update = Update(-20, 30, -100, 100, 0)
-    assert spans.update_cells(found, CellRect(0, 0, 128, 64), cells, column, update) == 5 + 10 + 58
+    touched = np.zeros((3, 1), np.int64)
+    window = CellRect(0, 0, 128, 64)
+    assert spans.update_cells(found, window, touched, 7, cells, column, update) == (5 + 10 + 58, 2)
+    assert touched.ravel().tolist() == [7, 7, 0]
     dense = cells.reshape(3, 64, 64).transpose(1, 0, 2).reshape(64, 192)
     assert (dense[0, :5] == -20).all()
     assert (dense[1, 60:70] == -20).all()
@@ -399,11 +402,11 @@ def test_blocks_of_cells_are_updated_as_one_cell_is():
     column = (columns // 64) * 64 * 64 + columns % 64
     window, update = CellRect(0, 0, 150, 60), LogOdds(l_min=-1.0, l_max=3.0).update
     blocks = rng.integers(update.lower, update.upper, 3 * 64 * 64).astype(np.int16)
-    singly = blocks.copy()
+    singly, touched = blocks.copy(), np.zeros((3, 1), np.int64)
     for _ in range(3):
         counts = {
-            spans.update_blocks(found, window, blocks, column, update),
-            spans.update_one_by_one(found, window, singly, column, update),
+            spans.update_blocks(found, window, touched, 1, blocks, column, update)[0],
+            spans.update_one_by_one(found, window, touched, 1, singly, column, update)[0],
         }
         assert len(counts) == 1
         assert np.array_equal(blocks, singly)

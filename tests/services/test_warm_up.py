@@ -1,11 +1,13 @@
 """Before a mapper is ready every kernel is compiled, whatever the settings; no scan waits for a compiler."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ogm_core import beams, bresenham, dda, deflate, judge, run_coding, sector, spans, star, tiled_cells
+from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.logodds import LogOdds
@@ -68,6 +70,8 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
             encode_png(live_map.snapshot(), palette)
     live_map.info()
     live_map.quality()
+    with pytest.raises(LimitReached):
+        OccupancyGrid(replace(settings, max_bytes=1)).integrate(scan, Pose(0.0, 0.04, 0.0))
     assert compiled() == before
 
 

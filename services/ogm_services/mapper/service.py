@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import uuid
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -18,7 +18,7 @@ import typer
 import uvicorn
 
 from ogm_client.session import open_session, resolve_listen
-from ogm_core.errors import MapEmpty, OgmError
+from ogm_core.errors import LimitReached, MapEmpty, OgmError
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.keys import MapKeys
@@ -209,6 +209,8 @@ def warm_up(settings: GridSettings) -> None:
     scratch.info()
     scratch.quality()
     encode_png(scratch.snapshot())
+    with suppress(LimitReached):  # a map that is full counts tiles by another kernel
+        OccupancyGrid(dataclasses.replace(small, max_bytes=1)).integrate(scan, Pose(side / 2, side / 2, 0.0))
 
 
 def _bound_socket(host: str, port: int) -> socket.socket:
