@@ -20,7 +20,7 @@ from benchmarks.table import Result
 from benchmarks.workloads import Workload, whole_big
 from ogm_client import MapClient
 
-SECONDS, QUICK_SECONDS, QUICK_SECONDS_READ = 120.0, 10.0, 4.0
+SECONDS, QUICK_SECONDS = 120.0, 3.0
 PAUSE = 0.0005
 """Between two questions, s."""
 SETTLED = 5.0
@@ -36,14 +36,14 @@ READ_TARGETS = {99: 60.0}
 def run(quick: bool) -> list[Result]:
     """Measure on workload `big`; `quick`: for a shorter time."""
     work = whole_big()
-    seconds, seconds_read = (QUICK_SECONDS, QUICK_SECONDS_READ) if quick else (SECONDS, SECONDS)
+    seconds = QUICK_SECONDS if quick else SECONDS
     with mapper(BOUNDS) as running:
         map_scans(running, work.scans)
         alone, _ = followed(running, work, seconds, 0)
-        read, rate = followed(running, work, seconds_read, READERS)
+        read, rate = followed(running, work, seconds, READERS)
     group = f"latency of {ROBOTS} robots x {RATE:g} scans a second"
     beside = (
-        f"{group} for {seconds_read:g} s; {READERS} clients ({name()}) read the whole 4000 x 4000 picture"
+        f"{group} for {seconds:g} s; {READERS} clients ({name()}) read the whole 4000 x 4000 picture"
     )
     pictures = Result(beside, "pictures a second", rate, "/s")
     return [

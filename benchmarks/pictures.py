@@ -23,7 +23,7 @@ from ogm_core.map_files import encode_png
 from ogm_core.types import PlacedScan
 
 BOUNDS = Region(-100.0, -100.0, 100.0, 100.0)
-ROUNDS, QUICK_ROUNDS = 9, 3
+ROUNDS, QUICK_ROUNDS = 9, 1
 PALETTES = AGAIN, _ = "ros", "probability"
 """The first is the one whose pictures after more scans are looked at."""
 SNAPSHOT = "snapshot"

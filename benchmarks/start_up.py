@@ -9,7 +9,7 @@ from statistics import median
 from benchmarks.running import ROOT, STARTED, environment, line_after, mapper, ogm
 from benchmarks.table import Result
 
-ROUNDS, QUICK_ROUNDS = 11, 3
+ROUNDS, QUICK_ROUNDS = 11, 1
 IMPORTS = "import numpy, numba, zenoh, fastapi"
 TARGET = 4.0
 

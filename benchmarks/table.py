@@ -76,12 +76,11 @@ def as_markdown(results: Iterable[Result], heading: str) -> str:
 
 
 def targets(results: Iterable[Result]) -> str:
-    """One Markdown table of the results that have a target, each with its group."""
+    """One Markdown table of the results that have a target, each group below a row with its name."""
     lines = [_row(HEADER), "|---|---|---|---|"]
-    for result in results:
-        if result.target is not None:
-            name, *others = result.cells
-            lines.append(_row((f"{result.group}: {name}", *others)))
+    for group, members in groups_of(result for result in results if result.target is not None).items():
+        lines.append(_row((f"**{group}**", "", "", "")))
+        lines += [_row(member.cells) for member in members]
     return "\n".join(lines) + "\n"
 
 

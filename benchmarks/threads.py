@@ -12,7 +12,7 @@ from benchmarks.workloads import big, settings_of
 from ogm_core.grid import OccupancyGrid
 
 SCANS = 100
-ROUNDS, QUICK_ROUNDS = 40, 15
+ROUNDS, QUICK_ROUNDS = 40, 6
 """Many short ones: some find both cores idle on a machine that has other things to do."""
 TURNS = 20_000_000
 TARGET = 1.7

@@ -19,7 +19,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.keys import MapKeys
 
 LAPS, QUICK_LAPS = 3, 1
-ROUNDS, QUICK_ROUNDS = 7, 3
+ROUNDS, QUICK_ROUNDS = 7, 2
 AHEAD = 1024
 """Scans that may be on their way; a mapper's queue takes 4096."""
 SELDOM, OFTEN = 0.02, 0.001

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks.__main__ import benchmark
-from benchmarks.table import Result, as_markdown, as_text, keep, with_unit
+from benchmarks.table import Result, as_markdown, as_text, keep, targets, with_unit
 
 RESULTS = [
     Result("speed", "fast", 5.251, "x", 5.0),
@@ -54,6 +54,18 @@ def test_markdown_has_a_table_for_every_group():
         "\n## time\n\n"
         "| what | measured | target | met |\n|---|---|---|---|\n"
         "| a scan | 1,234 us |  |  |\n"
+        "| waiting | 3.00 ms | at most 4.00 ms | yes |\n"
+    )
+
+
+def test_targets_stand_below_the_name_of_their_group():
+    assert targets(RESULTS) == (
+        "| what | measured | target | met |\n|---|---|---|---|\n"
+        "| **speed** |  |  |  |\n"
+        "| fast | 5.25 x | at least 5.00 x | yes |\n"
+        "| slow | 1.00 x | at least 1.25 x | **no** |\n"
+        "| wrong cells | 1 | at most 0 | **no** |\n"
+        "| **time** |  |  |  |\n"
         "| waiting | 3.00 ms | at most 4.00 ms | yes |\n"
     )
 
