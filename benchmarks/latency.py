@@ -42,9 +42,7 @@ def run(quick: bool) -> list[Result]:
         alone, _ = followed(running, work, seconds, 0)
         read, rate = followed(running, work, seconds, READERS)
     group = f"latency of {ROBOTS} robots x {RATE:g} scans a second"
-    beside = (
-        f"{group} for {seconds:g} s; {READERS} clients ({name()}) read the whole 4000 x 4000 picture"
-    )
+    beside = f"{group} for {seconds:g} s; {READERS} clients ({name()}) read the whole 4000 x 4000 picture"
     pictures = Result(beside, "pictures a second", rate, "/s")
     return [
         *as_results(f"{group} for {seconds:g} s", alone, ALONE_TARGETS),

@@ -146,17 +146,6 @@ class StripStore:
         met = self.touched[left // TILE : right // TILE + 1, bottom // TILE : top // TILE + 1]
         return met.size - int(np.count_nonzero(met))
 
-    def read(self, rect: CellRect) -> NDArray[Any]:
-        """Copy of the stored cells of `rect`, which lies inside; shape (height, width), [iy, ix]."""
-        dense = np.empty((rect.height, rect.width), self.cells.dtype)
-        left, bottom = rect.ix - self.rect.ix, rect.iy - self.rect.iy
-        strips = self.cells.reshape(self.touched.shape[0], self.rect.height, TILE)
-        for s in range(left // TILE, -(-(left + rect.width) // TILE)):
-            first, last = max(left, s * TILE), min(left + rect.width, (s + 1) * TILE)
-            rows = strips[s, bottom : bottom + rect.height]
-            dense[:, first - left : last - left] = rows[:, first - s * TILE : last - s * TILE]
-        return dense
-
 
 def tiles_met(rect: CellRect) -> int:
     """How many tiles a rectangle may meet, wherever it lies on their lattice."""

@@ -218,3 +218,10 @@ def sector_class(dx, dy, theta, bearings, half, kinds, lengths, alpha):
         return 2
     free = lengths[best] - alpha / 2 if kinds[best] == 2 else lengths[best]
     return 1 if rho <= free else 0
+
+
+def stored(store, rect):
+    """The stored cells of a rectangle inside a StripStore, by each one's address; shape (height, width)."""
+    i = rect.ix - store.rect.ix + np.arange(rect.width)
+    j = rect.iy - store.rect.iy + np.arange(rect.height)
+    return store.cells[store.column[i] + 64 * j[:, None]]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import naive
 from ogm_core.lattice import CellRect
 from ogm_core.strips import TILE, StripStore
 from ogm_core.tile_copies import copy_tiles
@@ -37,7 +38,7 @@ class Desk:
 
     def cells(self):
         """What is in the store, by the slow way."""
-        return self.store.read(self.store.rect)
+        return naive.stored(self.store, self.store.rect)
 
     def copy(self, before=None):
         return copy_tiles(self.store, self.revision, before)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import naive
 from ogm_core import tile_picture
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -60,7 +61,7 @@ def test_pictures_of_a_map_that_grows_in_all_directions(model, bounds):
             continue
         if k % 4 == 3:
             continue
-        snap, cells = grid.snapshot(), grid._store.read(grid.rect)
+        snap, cells = grid.snapshot(), naive.stored(grid._store, grid.rect)
         assert (snap.revision, snap.epoch) == (grid.revision, grid.epoch)
         assert snap.known_cells == np.count_nonzero(model.known(cells))
         if model.cells == "int16":
@@ -99,7 +100,7 @@ class Desk:
         rect = rect or self.store.rect
         self.copies = copy_tiles(self.store, self.revision, self.copies)
         grey = pixels(self.picture.png(self.copies, rect))
-        assert np.array_equal(grey, drawn(LogOdds(), self.store.read(rect), self.palette))
+        assert np.array_equal(grey, drawn(LogOdds(), naive.stored(self.store, rect), self.palette))
 
 
 def noise(rng):
@@ -255,7 +256,7 @@ def test_greys_that_are_never_0():
     desk.fill(1, 1, noise(desk.rng))
     copies = copy_tiles(desk.store, desk.revision)
     grey = pixels(desk.picture.png(copies, desk.store.rect))
-    expected = drawn(LogOdds(), desk.store.read(desk.store.rect), "probability")
+    expected = drawn(LogOdds(), naive.stored(desk.store, desk.store.rect), "probability")
     assert np.array_equal(grey, np.maximum(expected, 9))
 
 
