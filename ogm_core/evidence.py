@@ -1,9 +1,9 @@
 """What a placed scan says about which cells: the sensor models behind one face.
 
-A scan is read beam by beam (ogm_core.bresenham, ogm_core.dda) or as sectors (ogm_core.sector). Each of these
-three modules of kernels does the same things: it tells which rectangle the updated cells fill, counts the
-tiles that they need, and updates them. Only the last, and what finds a scan's sectors, lets go of Python's
-global lock: to take it again costs a thread more than the other kernels, which take microseconds.
+A scan is read beam by beam (ogm_core.bresenham, ogm_core.dda) or as sectors (ogm_core.sector), which come as
+spans (ogm_core.spans). These kernels tell which rectangle the updated cells fill, count the tiles that they
+need, and update them. Only the last, and what finds a scan's sectors, lets go of Python's global lock: to
+take it again costs a thread more than the other kernels, which take microseconds.
 """
 
 import math

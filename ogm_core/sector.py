@@ -4,7 +4,8 @@ The scan is a star (ogm_core.star): an inner outline, up to which it saw free sp
 which it saw an obstacle. Both are closed curves of radial edges and arcs. Going round the sensor by angle,
 every row of cell centres above the sensor meets the outlines from right to left, and every row below it from
 left to right, so nothing need be sorted: a row remembers where it met an outline last and which outlines it
-is inside of, and each new meeting closes a span of cells of one class.
+is inside of, and each new meeting closes a span of cells of one class. It never goes back, though rays may
+be in disorder where bearings are so large that rounding disturbs their order.
 
          ___ outer                a row, right to left:
        /#####                        meets the outer outline    inside outer only: occupied
@@ -33,6 +34,7 @@ from ogm_core.star import Fan, Rays, turned
 # The classes of a span are also the bits of the outlines that a row is inside of: inner and outer.
 assert (FREE, OCCUPIED) == (1, 2)
 _FLAT = 1e-300
+_FAR = 2**30
 _ROOM = 4096
 """Spans for which there is room at first."""
 
@@ -140,7 +142,8 @@ def spans(
     highest = min(int(rows.max()), window.iy + window.height)
     window = CellRect(window.ix, lowest, window.width, max(highest - lowest, 0))
     inside = np.zeros(window.height, np.int32)
-    met = np.zeros(window.height, np.int32)
+    met = np.full(window.height, _FAR, np.int32)
+    met[: min(max(int(_row(0.0, fv)) - lowest, 0), window.height)] = -_FAR
     found = np.empty((_ROOM, 4), np.int32)
     k = n = 0
     while True:
@@ -167,11 +170,12 @@ def _sweep(
 ) -> tuple[int, int]:
     """Let rows meet edges from edge `k` on, and write spans from found[n] on, while there is room for them.
 
-    A row's entries in `inside` and `met` say which outlines it is inside of, and where it met one last.
+    A row's entries in `inside` and `met` say which outlines it is inside of, and where it met one last; at
+    first it has met them farther out than any column.
     Returns the next edge and the next span.
     """
     upper = int(_row(0.0, fv))  # the lowest row at or above the sensor
-    # Farther than these, in a float that rounds up to the very columns.
+    # Meetings outside the window are moved to its edges, a quarter of a cell beyond which rounding up leads.
     left, right = window.ix + 0.25 - fu, window.ix + window.width + 0.25 - fu
     for edge in edges[k:]:
         r, outline, step = np.uint64(edge >> 2), np.uint64((edge >> 1) & 1), np.uint64(edge & 1)
@@ -195,8 +199,7 @@ def _sweep(
             here = np.int32(np.ceil(min(max(x, least), greatest) - 0.5 + fu))
             at = np.uint64(row - window.iy)
             state, before = inside[at], met[at]
-            if state:
-                here = min(here, before) if above else max(here, before)
+            here = min(here, before) if above else max(here, before)
             inside[at] = state ^ toggled
             met[at] = here
             if state and here != before:

@@ -93,7 +93,8 @@ def turned(
 ) -> tuple[Rays, NDArray[np.int64]]:
     """The star of a scan: its rays in one round from the x axis on, and where each quadrant's begin and end.
 
-    Those of quadrant q are rays[:, quarters[q] : quarters[q + 1]]. `heading`, rad, in [-pi, pi], is the
+    Those of quadrant q are rays[:, quarters[q] : quarters[q + 1]]: the axis and the fan's rays in it; all of
+    the fan's have been laid when the last quadrant ends. `heading`, rad, in [-pi, pi], is the
     sensor's. A beam whose entry in `kinds` is SKIPPED does not count; if there are no entries, all count.
     """
     radii = _radii(ranges, beam, kinds, resolution)

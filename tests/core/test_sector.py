@@ -200,6 +200,19 @@ def test_rounds_that_overlap_or_leave_gaps(count, increment):
         assert_every_cell(scan, Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)), settings_of())
 
 
+@pytest.mark.parametrize(
+    ("count", "angle_min", "increment"),
+    [(644, 1e5, -0.41887902047873904), (300, 1e9, 0.1), (20_000 // FEWER, 0.3, TURN + 1e-10)],
+)
+def test_no_cell_is_updated_twice_where_rounding_disturbs_the_order_of_beams(count, angle_min, increment):
+    ranges = np.where(np.arange(count) % 2, 5.0, 30.0)
+    scan = scan_of(ranges, angle_min=angle_min, angle_increment=increment, range_max=31.0)
+    for theta in (-0.6637793476328504, 0.1, 2.0):
+        grid = OccupancyGrid(settings_of())
+        updates = grid.integrate(scan, Pose(0.01, 0.02, theta))
+        assert updates == np.count_nonzero(grid.model.known(grid.snapshot().cells)) > 10_000
+
+
 def test_of_equal_bearings_the_first_beam_wins():
     ranges = [2.0, 3.0, 4.0, 5.0, 6.0]  # the fifth looks where the first does
     both = [
