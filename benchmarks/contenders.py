@@ -1,7 +1,9 @@
 """Who maps a workload, round by round: the map of this project, and its peers."""
 
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
@@ -22,6 +24,10 @@ class Contender(Protocol):
     def name(self) -> str:
         """What it is called in results."""
 
+    @property
+    def pid(self) -> int:
+        """The process that does the work; 0 is this one."""
+
     def round(self) -> NDArray[np.float64]:
         """CPU time of every scan, us."""
 
@@ -32,6 +38,8 @@ class Ours:
     The peers have their whole map in memory before their clocks start, so this one begins with memory that it
     has used before and that is blank again. With `new_memory` it takes its memory from the system on the way.
     """
+
+    pid = 0
 
     def __init__(
         self, name: str, work: Workload, settings: GridSettings, *, new_memory: bool = False
@@ -87,12 +95,28 @@ def peers(names: Sequence[str], workload: Path, folder: Path) -> list[Peer]:
 def interleaved(contenders: Sequence[Contender], rounds: int) -> dict[str, float]:
     """CPU time of a scan by contender's name, us: the mean over the scans of each one's best round.
 
-    All take turns, so that a slow minute of the machine is everybody's. Other programs' load comes and goes
-    within a round; that is why every scan has its own best round.
+    All take turns, so that a slow minute of the machine is everybody's, and every round all are on the same
+    core, the next one in the next round: cores of a shared machine differ. Other programs' load comes and
+    goes within a round; that is why every scan has its own best round.
     """
     best: dict[str, NDArray[np.float64]] = {}
-    for _ in range(rounds):
+    for n in range(rounds):
         for contender in contenders:
-            times = contender.round()
+            with _on_one_core(n, contender.pid):
+                times = contender.round()
             best[contender.name] = np.minimum(best.get(contender.name, times), times)
     return {name: float(times.mean()) for name, times in best.items()}
+
+
+@contextmanager
+def _on_one_core(n: int, pid: int) -> Iterator[None]:
+    """Have a process run on core `n` of those that it may use, counted round and round, if the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(pid)
+    os.sched_setaffinity(pid, {sorted(cores)[n % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(pid, cores)

@@ -17,7 +17,7 @@ from benchmarks.table import Result
 from benchmarks.workloads import BIG_SCANS, WORKLOADS, Workload, first_scans, settings_of
 
 SCRATCH = Path(__file__).parents[1] / "build" / "benchmarks"
-ROUNDS, QUICK_ROUNDS = 7, 2
+ROUNDS, QUICK_ROUNDS = 8, 2
 QUICK_SCANS = BIG_SCANS // 10
 OCTOMAP_SCANS, QUICK_OCTOMAP_SCANS = 30, 5
 """OctoMap takes some 80 ms a scan."""

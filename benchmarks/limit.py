@@ -27,7 +27,7 @@ DECREMENT = 7
 class Limit:
     """The least that scans of a workload cost, here every `every`-th; one of the contenders."""
 
-    name = "the least that sectors cost: fill, edge set-up"
+    name, pid = "the least that sectors cost: fill, edge set-up", 0
 
     def __init__(self, work: Workload, every: int) -> None:
         """Find the spans of the scans, by mapping each one alone."""

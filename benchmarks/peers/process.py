@@ -71,6 +71,7 @@ class Peer:
         self._process = subprocess.Popen(
             [str(program), str(workload)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
+        self.pid = self._process.pid
         self._answer()
 
     def round(self) -> NDArray[np.float64]:

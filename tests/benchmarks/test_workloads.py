@@ -1,6 +1,7 @@
 """What the benchmarks measure on, and that their textbook makes the map that ours is compared with."""
 
 import math
+import os
 import shutil
 
 import numpy as np
@@ -69,6 +70,23 @@ class TestWorkloads:
         steps = np.hypot(*np.diff(way, axis=0, append=way[:1]).T)
         assert steps.sum() == pytest.approx(1163.0, rel=0.01)
         assert steps.max() < 1.3
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system ties no process to a core")
+def test_contenders_share_a_core_in_every_round():
+    rounds = []
+
+    class Contender:
+        name, pid = "somebody", 0
+
+        def round(self):
+            rounds.append(os.sched_getaffinity(0))
+            return np.ones(1)
+
+    before = os.sched_getaffinity(0)
+    interleaved([Contender(), Contender()], 2 * len(before))
+    assert rounds == [{core} for core in sorted(before) for _ in range(2)] * 2
+    assert os.sched_getaffinity(0) == before
 
 
 class TestTextbook:
