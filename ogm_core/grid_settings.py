@@ -57,6 +57,12 @@ class GridSettings:
                 f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
             )
 
+    @cached_property
+    def distances(self) -> tuple[float, float, float]:
+        """`alpha`, `clear_range` and `reach`, m; infinite where there is no such limit."""
+        clear_range = math.inf if self.clear_range is None else float(self.clear_range)
+        return float(self.alpha), clear_range, math.inf if self.reach is None else float(self.reach)
+
     def lattice(self) -> tuple[Lattice, CellRect | None]:
         """The map's lattice, and the cells of its bounds if it has any."""
         return self._lattice

