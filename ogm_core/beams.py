@@ -63,15 +63,13 @@ def classify(r: float, beam: BeamModel) -> tuple[int, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def reading(r: float, beam: BeamModel) -> tuple[bool, bool, float]:
-    """`classify` without a branch, for many beams at once: whether a beam counts, whether it hit, its length.
-
-    The length of one that does not count means nothing.
-    """
+    """`classify` without a branch, for many beams at once: whether it counts, whether it hit, its length."""
     saw_nothing = beam.range_max - beam.alpha / 2
     counts = (r > 0.0) & (r >= beam.range_min)
     hit = counts & (r < saw_nothing) & (r <= beam.reach)
     farthest = min(beam.range_max, beam.clear_range, beam.reach)
-    return counts, hit, min(r, beam.reach if r < saw_nothing else farthest)
+    length = min(r, beam.reach if r < saw_nothing else farthest)
+    return counts, hit, length if counts else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -160,21 +158,19 @@ def project_turned(
     many beams at once. How far rounding can move a point is known; where that could reach another cell,
     `_end_of` decides.
     """
-    plain = beam, lattice
-    beam, lattice = BeamModel(*beam), Cells(*lattice)
+    model, onto = BeamModel(*beam), Cells(*lattice)
     n, exact = ranges.size, lines.size > 0
     x, y, theta = sensor
-    u0, v0 = (x - lattice.anchor_x) / lattice.resolution, (y - lattice.anchor_y) / lattice.resolution
-    slack = _rounding(n, abs(x) + abs(y), theta, beam, lattice)
+    u0, v0 = (x - onto.anchor_x) / onto.resolution, (y - onto.anchor_y) / onto.resolution
+    slack = _rounding(n, abs(x) + abs(y), theta, model, onto)
     if not slack < _USEFUL:
-        return bool(project(ranges, plain[0], np.array([[x, y, theta]]), plain[1], cells, lines))
+        return bool(project(ranges, beam, np.array([[x, y, theta]]), lattice, cells, lines))
     i0, j0 = math.floor(u0), math.floor(v0)
     fu, fv = u0 - i0, v0 - j0
-    c, s = math.cos(theta) / lattice.resolution, math.sin(theta) / lattice.resolution
+    c, s = math.cos(theta) / onto.resolution, math.sin(theta) / onto.resolution
     close_calls = 0
     for k in range(n):
-        counts, hit, length = reading(float(ranges[k]), beam)
-        length = length if counts else 0.0
+        counts, hit, length = reading(float(ranges[k]), model)
         u = fu + length * (c * directions[0, k] - s * directions[1, k])
         v = fv + length * (s * directions[0, k] + c * directions[1, k])
         iu, iv = np.floor(u), np.floor(v)
@@ -187,12 +183,12 @@ def project_turned(
         cells[3, k] = i0 if counts else 0
         cells[4, k] = j0 if counts else 0
     if exact:
-        _draw_turned(lines, ranges, beam, directions, fu, fv, c, s)
+        _draw_turned(lines, ranges, model, directions, fu, fv, c, s)
     if close_calls:
         for k in range(n):
             if cells[2, k] & _CLOSE:
-                kind, length = classify(float(ranges[k]), beam)
-                _, u, v = _end_of(k, length, x, y, theta, beam, lattice)
+                kind, length = classify(float(ranges[k]), model)
+                _, u, v = _end_of(k, length, x, y, theta, model, onto)
                 cells[0, k], cells[1, k], cells[2, k] = math.floor(u), math.floor(v), kind
                 if exact:  # a line must lead to its beam's end cell, be that beyond an edge by rounding only
                     _draw(lines, k, u0, v0, u, v)
@@ -215,8 +211,7 @@ def _draw_turned(
     In a loop of its own, because few need them: the other one takes half the time without.
     """
     for k in range(ranges.size):
-        counts, _, length = reading(float(ranges[k]), beam)
-        length = length if counts else 0.0
+        _, _, length = reading(float(ranges[k]), beam)
         u = fu + length * (c * directions[0, k] - s * directions[1, k])
         v = fv + length * (s * directions[0, k] + c * directions[1, k])
         lines[0, k] = 1.0 - fu if u > fu else fu

@@ -37,9 +37,9 @@ class CellRect(NamedTuple):
 
     def union(self, other: "CellRect") -> "CellRect":
         """The smallest rectangle that holds both."""
-        (left, bottom, width, height), (left_2, bottom_2, width_2, height_2) = self, other
-        ix, iy = min(left, left_2), min(bottom, bottom_2)
-        right, top = max(left + width, left_2 + width_2), max(bottom + height, bottom_2 + height_2)
+        ix, iy = min(self.ix, other.ix), min(self.iy, other.iy)
+        right = max(self.ix + self.width, other.ix + other.width)
+        top = max(self.iy + self.height, other.iy + other.height)
         return CellRect(ix, iy, right - ix, top - iy)
 
     def intersection(self, other: "CellRect") -> "CellRect":

@@ -54,7 +54,7 @@ def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, i
     return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int64], revision: int) -> int:
     """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
 

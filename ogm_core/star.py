@@ -133,10 +133,10 @@ def _radii(
     radii = np.zeros((2, n + 1))
     half = beam.alpha / 2.0
     for k in range(n):
-        counts, hit, length = reading(float(ranges[k]), beam)
+        _, hit, length = reading(float(ranges[k]), beam)
         thickness = half if hit else 0.0
-        radii[0, k] = max(length - thickness, 0.0) / resolution if counts else 0.0
-        radii[1, k] = (length + thickness) / resolution if counts else 0.0
+        radii[0, k] = max(length - thickness, 0.0) / resolution
+        radii[1, k] = (length + thickness) / resolution
     for k in range(kinds.size):
         if kinds[k] == SKIPPED:
             radii[0, k] = radii[1, k] = 0.0

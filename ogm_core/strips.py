@@ -50,7 +50,6 @@ class StripStore:
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.tiles_used = 0
-        self._table_bytes = self.column.nbytes + self.touched.nbytes
 
     @property
     def tile_bytes(self) -> int:
@@ -60,7 +59,7 @@ class StripStore:
     @property
     def nbytes(self) -> int:
         """Memory of the tiles that were ever written, and of the tables."""
-        return self.tiles_used * self.tile_bytes + self._table_bytes
+        return self.tiles_used * self.tile_bytes + self.column.nbytes + self.touched.nbytes
 
     def grown(self, rect: CellRect, max_bytes: int = 0) -> "StripStore":
         """A store that also covers `rect`, with room to spare where it grew; its cells follow by `take`.

@@ -38,8 +38,7 @@ def classify(r, range_min, range_max, alpha, clear_range, reach):
     model = beams.BeamModel(0.0, 0.1, range_min, range_max, alpha, clear_range, reach)
     kind, length = beams.classify(r, model)
     counts, hit, same_length = beams.reading(r, model)
-    assert counts + hit == kind
-    assert not counts or same_length == length
+    assert (counts + hit, same_length) == (kind, length)
     return kind, length
 
 
