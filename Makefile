@@ -61,11 +61,11 @@ clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-KERNELS := $(wildcard ogm_core/*.py)
+KERNELS := $(wildcard ogm_core/*.py ogm_core/*/*.py)
 
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
 $(VENV)/.kernels: $(KERNELS) | $(BIN)/python
-	@rm -f ogm_core/__pycache__/*.nbi ogm_core/__pycache__/*.nbc
+	@rm -f ogm_core/__pycache__/*.nb? ogm_core/*/__pycache__/*.nb?
 	@touch $@
 
 $(BIN)/python:

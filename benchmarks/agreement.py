@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.process import Peer
 from benchmarks.peers.workload_file import read_map
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import probability_of
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import CellRect
-from ogm_core.logodds import probability_of
-from ogm_core.palettes import trinary
 
 
 def log_odds_in(rect: CellRect, grid: OccupancyGrid) -> NDArray[np.float64]:

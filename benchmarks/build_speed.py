@@ -12,12 +12,12 @@ from typing import Any, TypeVar
 from benchmarks.running import ROOT, STARTED, environment
 from benchmarks.table import Result
 from benchmarks.workloads import DATASETS, Workload, mapped, recorded
-from ogm_core.decimals import read_decimals
 from ogm_core.grid import OccupancyGrid
-from ogm_core.quality import Consistency, quality_figures
-from ogm_core.recordings import RecordedScan, RecordingReader, write_jsonl
+from ogm_core.logs.decimals import read_decimals
+from ogm_core.logs.recordings import RecordedScan, RecordingReader, write_jsonl
+from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.snapshot import MapSnapshot
-from ogm_services.output import write_map
+from ogm_services.results.map_folder import write_map
 
 NAME, FILE = "freiburg-079", "freiburg-079-corrected.log.gz"
 FLAGS = ("--range-max", "80", "--clear-range", "25")

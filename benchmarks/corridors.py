@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.workloads import Workload, simulated
-from ogm_core.lidar import Lidar
-from ogm_core.trajectories import Point, WaypointPath
-from ogm_core.worlds import World
+from ogm_core.simulation.lidar import Lidar
+from ogm_core.simulation.trajectories import Point, WaypointPath
+from ogm_core.simulation.worlds import World
 
 BLOCKS, SPACING, WIDTH, STEP = 5, 15.0, 2.5, 1.0
 """Blocks along a side of the building; way between crossings, width of a corridor, the robot's step: m."""

@@ -8,14 +8,14 @@ from contextlib import ExitStack
 import numpy as np
 
 from benchmarks.growth import Case, Costs, Factor, Floats, best_of, place
-from ogm_core.keys import Source
-from ogm_core.messages import DEFAULT_MAX_BEAMS, encode_pose, encode_scan
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
-from ogm_services.mapper.inbox import Inbox, Item
+from ogm_core.wire.keys import Source
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, encode_pose, encode_scan
+from ogm_services.mapper.intake.queue import Inbox, Item
+from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.mapper import Mapper, ScanSink
-from ogm_services.mapper.worker import Worker
 
 ROBOTS = Factor("robots", (1, 2, 4, 8, 16, 32, 64), (1, 64), 1)
 RATE = 10

@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.corridors import corridors
 from benchmarks.table import Result
 from benchmarks.workloads import Workload, big, first_scans, mapped
-from ogm_core.map_files import encode_png
+from ogm_core.files.map_files import encode_png
 
 SMAPS = Path("/proc/self/smaps_rollup")
 WARM_SCANS = 50

@@ -17,9 +17,9 @@ from PIL import Image
 
 from benchmarks.table import Result
 from benchmarks.workloads import Workload, mapped, whole_big
+from ogm_core.files.map_files import encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import Region
-from ogm_core.map_files import encode_png
 from ogm_core.types import PlacedScan
 
 BOUNDS = Region(-100.0, -100.0, 100.0, 100.0)

@@ -14,9 +14,9 @@ from benchmarks.table import Result
 from benchmarks.workloads import Workload, first_scans, settings_of, whole_big
 from ogm_client import MapClient
 from ogm_client.session import NetworkConfig, open_session
-from ogm_core import messages
 from ogm_core.grid import OccupancyGrid
-from ogm_core.keys import MapKeys
+from ogm_core.wire import messages
+from ogm_core.wire.keys import MapKeys
 
 LAPS, QUICK_LAPS = 3, 1
 ROUNDS, QUICK_ROUNDS = 7, 2

@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings, Outside, SensorModel, Traversal
 from ogm_core.lattice import Region
-from ogm_core.lidar import Lidar, measure
-from ogm_core.logodds import CellType, LogOdds
-from ogm_core.recordings import RecordedScan, RecordingReader
-from ogm_core.trajectories import WaypointPath
+from ogm_core.logs.recordings import RecordedScan, RecordingReader
+from ogm_core.simulation.lidar import Lidar, measure
+from ogm_core.simulation.trajectories import WaypointPath
+from ogm_core.simulation.worlds import World, lab
 from ogm_core.types import PlacedScan, Pose, Scan
-from ogm_core.worlds import World, lab
 
 DATASETS = "OGM_DATASETS"
 """Environment variable: the folder with recorded buildings."""

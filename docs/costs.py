@@ -29,7 +29,7 @@ from docs.variants import markdown, with_table
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.types import PlacedScan, Pose
-from ogm_services.figure import encode_figure
+from ogm_services.results.figure import encode_figure
 
 PAGE = Path(__file__).with_name("costs.md")
 FIGURE = Path(__file__).with_name("costs.svg")

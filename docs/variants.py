@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ogm_core.files.map_files import read_npz
 from ogm_core.lattice import CellRect, Lattice
-from ogm_core.map_files import read_npz
-from ogm_core.truth import occupied_cells
-from ogm_core.worlds import lab
+from ogm_core.quality.truth import occupied_cells
+from ogm_core.simulation.worlds import lab
 
 PAGE = Path(__file__).with_name("variants.md")
 VARIANTS = {

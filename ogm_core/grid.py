@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.log_odds import Cells
 from ogm_core.errors import LimitReached
-from ogm_core.evidence import Evidence, observe
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.logodds import Cells
+from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.strips import StripStore, tiles_met
-from ogm_core.tile_copies import TileCopies, copy_tiles, room_for
-from ogm_core.tiled_cells import Pictures, TiledCells
+from ogm_core.tiles.copies import TileCopies, copy_tiles, room_for
+from ogm_core.tiles.store import StripStore, tiles_met
+from ogm_core.tiles.view import Pictures, TiledCells
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadSetting
 from ogm_core.lattice import CellRect, Lattice, Region, bounded
-from ogm_core.logodds import LogOdds
 
 Outside = Literal["clip", "drop"]
 SensorModel = Literal["beam", "sector"]

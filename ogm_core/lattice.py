@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ogm_core.errors import BadParameter, BadSetting
 
 MIN_RESOLUTION = 0.001
-"""The smallest cell, m: with ranges up to 1000 m a beam stays below 2^20 cells (see ogm_core.bresenham)."""
+"""The smallest cell, m: with ranges up to 1000 m a beam stays below 2^20 cells (sensor_models.bresenham)."""
 MAX_RESOLUTION = 1e6
 """The largest cell, m."""
 MAX_INDEX = 2**52

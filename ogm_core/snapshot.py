@@ -6,10 +6,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.classes import OCCUPIED, trinary
+from ogm_core.cells.log_odds import Cells, Encoder, LogOdds
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
-from ogm_core.logodds import Cells, Encoder, LogOdds
-from ogm_core.palettes import OCCUPIED, trinary
 
 
 class CellSource(Protocol):
@@ -167,7 +167,7 @@ def _blocks(model: LogOdds, cells: Cells, factor: int) -> Cells:
 
 
 def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:
-    """The ends of a type's range; the lower one is not a cell (see ogm_core.logodds)."""
+    """The ends of a type's range; the lower one is not a cell (see cells.log_odds)."""
     if dtype.kind == "f":
         return dtype.type(-np.inf), dtype.type(np.inf)
     limits = np.iinfo(dtype)

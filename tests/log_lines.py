@@ -2,7 +2,7 @@
 
 import json
 
-from ogm_core.recordings import RecordedPose, read_lines
+from ogm_core.logs.recordings import RecordedPose, read_lines
 
 POSE = {"type": "pose", "robot": "r1", "stamp": 10, "seq": 1, "run": "a", "x": 1.0, "y": 2.0, "theta": 0.5}
 SCAN = {

@@ -1,4 +1,4 @@
-"""The slow, obvious twin of ogm_core.truth: every cell against every obstacle, from the definitions."""
+"""The slow, obvious twin of quality.truth: every cell against every obstacle, from the definitions."""
 
 import math
 from fractions import Fraction

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ogm_core.lidar import Lidar, measure
-from ogm_core.recordings import RecordedPose, RecordedScan, write_jsonl
-from ogm_core.trajectories import CirclePath
+from ogm_core.logs.recordings import RecordedPose, RecordedScan, write_jsonl
+from ogm_core.simulation.lidar import Lidar, measure
+from ogm_core.simulation.trajectories import CirclePath
+from ogm_core.simulation.worlds import world_named
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
-from ogm_core.worlds import world_named
 
 MS = 1_000_000
 LAB = world_named("lab")

@@ -15,7 +15,7 @@ from ogm_client.session import DEFAULT_ADDRESS
 from ogm_client.transport import NAMES, MapReply, Transport, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
-from ogm_core.map_files import read_npz
+from ogm_core.files.map_files import read_npz
 
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_INTERVAL = 0.5

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from ogm_client.notebook import html_of
 from ogm_client.raycast import Ray, RayCaster, Rays
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import Cells, LogOdds, probability_of
 from ogm_core.errors import BadParameter
+from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
 from ogm_core.lattice import Lattice, Region
-from ogm_core.logodds import Cells, LogOdds, probability_of
-from ogm_core.map_files import encode_pgm, encode_png, encode_yaml
-from ogm_core.palettes import trinary
 from ogm_core.snapshot import MapSnapshot
 
 

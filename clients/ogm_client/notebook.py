@@ -3,7 +3,7 @@
 import base64
 import math
 
-from ogm_core.map_files import encode_png
+from ogm_core.files.map_files import encode_png
 from ogm_core.snapshot import MapSnapshot
 
 LARGEST = 800

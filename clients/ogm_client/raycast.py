@@ -1,8 +1,8 @@
 """Rays through a map: what a beam from a point in it would read.
 
 The way through the cells is that of J. Amanatides, A. Woo: A fast voxel traversal algorithm for ray tracing,
-Eurographics 1987, and the arithmetic that of `ogm_core.judge.cast_ray`, which is compiled; here the crossings
-of a ray with the grid's lines are listed at once, as NumPy arrays, and sorted.
+Eurographics 1987, and the arithmetic that of `ogm_core.quality.agreement.cast_ray`, which is compiled; here
+the crossings of a ray with the grid's lines are listed at once, as NumPy arrays, and sorted.
 """
 
 import math
@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.classes import FREE, OCCUPIED, trinary
+from ogm_core.cells.log_odds import probability_of
 from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.lattice import Lattice
-from ogm_core.logodds import probability_of
-from ogm_core.palettes import FREE, OCCUPIED, trinary
 
 Found = Literal["occupied", "unknown", "nothing"]
 

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from ogm_client.errors import ClientError, nobody
 from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig, open_session, reason
-from ogm_core import messages
 from ogm_core.errors import BadMessage
-from ogm_core.keys import MapKeys, check_name
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Ranges, Scan
+from ogm_core.wire import messages
+from ogm_core.wire.keys import MapKeys, check_name
 
 _POLL = 0.01
 _M = TypeVar("_M")

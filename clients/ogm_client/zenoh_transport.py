@@ -8,7 +8,7 @@ import zenoh
 from ogm_client.errors import BadReply, ClientError, nobody
 from ogm_client.session import NetworkConfig, open_session, reason
 from ogm_client.transport import MapReply, Parameters, Version, json_object, map_reply, mapper_error
-from ogm_core.keys import MapKeys, Service
+from ogm_core.wire.keys import MapKeys, Service
 
 _TIMED_OUT = b"Timeout"
 """Zenoh's own error reply, when a queryable took the query and did not finish in time."""

@@ -13,10 +13,11 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
-from ogm_services.exit_codes import INTERRUPTED, OneLineErrors, running_service
-from ogm_services.kernel_cache import kernel_cache
-from ogm_services.loading import loading
-from ogm_services.options import (
+from ogm_services.commands.simulator_options import SimulatorOptions
+from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors, running_service
+from ogm_services.runtime.kernel_cache import kernel_cache
+from ogm_services.runtime.loading import loading
+from ogm_services.settings.flags import (
     ConfigFile,
     HttpFlags,
     LogFlags,
@@ -26,8 +27,7 @@ from ogm_services.options import (
     settings_from,
     with_flag_groups,
 )
-from ogm_services.setting_values import LOOPBACK
-from ogm_services.simulator_options import SimulatorOptions
+from ogm_services.settings.values import LOOPBACK
 
 app = typer.Typer(
     name="ogm",
@@ -105,7 +105,7 @@ def demo(
     settings = settings_from(config, map_flags, network, http)
     with running_service(), kernel_cache():
         with loading():
-            from ogm_services.demo import run_demo
+            from ogm_services.commands.demo import run_demo
         run_demo(settings, world=world, duration=duration, out=out)
 
 
@@ -167,7 +167,7 @@ def simulate(
         raise BadInput("--out needs --scans N: a recording has an end")
     with running_service(interrupted=0 if out is None else INTERRUPTED):
         with loading():
-            from ogm_services.simulator import record, run_simulator
+            from ogm_services.commands.simulator import record, run_simulator
         if out is None:
             run_simulator(settings.network, options)
         else:
@@ -204,7 +204,7 @@ def replay(
     settings = settings_from(config, network)
     with running_service(interrupted=INTERRUPTED):
         with loading():
-            from ogm_services.replay import run_replay
+            from ogm_services.commands.replay import run_replay
         run_replay(
             log,
             settings.network,
@@ -247,7 +247,7 @@ def build(
     settings = settings_from(config, map_flags)
     with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
         with loading():
-            from ogm_services.build import run_build
+            from ogm_services.commands.build import run_build
         run_build(
             log,
             out,
@@ -273,7 +273,7 @@ def get(
 ) -> None:
     """Fetch a file from a running mapper."""
     from ogm_client import MapClient
-    from ogm_services.fetch import fetch
+    from ogm_services.commands.get import fetch
 
     with MapClient(url, map_name=map_name) as client:
         fetch(client, name, out, sys.stdout.buffer)
@@ -295,7 +295,7 @@ def status(
         return
     from rich.console import Console
 
-    from ogm_services.fetch import status_tables
+    from ogm_services.commands.get import status_tables
 
     console = Console()
     for table in status_tables(answer):

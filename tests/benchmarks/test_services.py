@@ -17,8 +17,8 @@ from benchmarks.running import line_after, map_scans, mapper, program
 from benchmarks.throughput import encoded, handled
 from benchmarks.workloads import big, lab_exercise, mapped
 from ogm_client import MapClient
-from ogm_core.map_files import encode_png
-from ogm_core.messages import decode_scan
+from ogm_core.files.map_files import encode_png
+from ogm_core.wire.messages import decode_scan
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)

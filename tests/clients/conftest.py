@@ -10,9 +10,9 @@ import msgpack
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import Lattice
-from ogm_core.logodds import LogOdds
-from ogm_core.map_files import encode_npz
 from ogm_core.snapshot import MapSnapshot
 
 MAP_NAME = "hall"

@@ -10,7 +10,7 @@ from PIL import Image
 
 from ogm_client import MapGrid
 from ogm_core.errors import BadParameter, MapEmpty
-from ogm_core.map_files import read_npz
+from ogm_core.files.map_files import read_npz
 
 FREE, OCCUPIED, UNDECIDED, PRIOR = math.log(0.19 / 0.81), math.log(0.66 / 0.34), math.log(0.64 / 0.36), 0.0
 LOG_ODDS = np.array([[math.nan, OCCUPIED], [FREE, PRIOR], [UNDECIDED, -0.0]])

@@ -7,12 +7,16 @@ import pytest
 
 import naive
 from ogm_client import MapGrid, Ray
-from ogm_core import judge
 from ogm_core.errors import BadParameter, MapEmpty
+from ogm_core.quality import agreement
 
 EMPTY, WALL, UNDECIDED, UNKNOWN = -2.0, 2.0, 0.0, math.nan
 QUARTER = math.pi / 2
-WORDS = {judge.FOUND_WALL: "occupied", judge.FOUND_UNKNOWN: "unknown", judge.FOUND_NOTHING: "nothing"}
+WORDS = {
+    agreement.FOUND_WALL: "occupied",
+    agreement.FOUND_UNKNOWN: "unknown",
+    agreement.FOUND_NOTHING: "nothing",
+}
 
 
 def grid_of(log_odds, **where):
@@ -96,8 +100,8 @@ def test_many_rays_are_as_each_alone():
 
 def believed(grid):
     """The cells of a grid in the kernel's words."""
-    beliefs = np.where(grid.known, judge.UNDECIDED, 0)
-    beliefs[grid.occupancy == 0], beliefs[grid.occupancy == 100] = judge.FREE, judge.OCCUPIED
+    beliefs = np.where(grid.known, agreement.UNDECIDED, 0)
+    beliefs[grid.occupancy == 0], beliefs[grid.occupancy == 100] = agreement.FREE, agreement.OCCUPIED
     return beliefs.astype(np.uint8)
 
 
@@ -114,7 +118,7 @@ def test_rays_are_those_of_the_kernel(grain, max_range):
         for theta in [*some, *rng.uniform(-9, 9, 30)]:
             u, v = rng.integers(0, (60 / grain, 40 / grain)) * grain
             ray = grid.raycast(9.0 + u / 2, -18.0 + v / 2, theta, max_range)
-            what, distance = judge.cast_ray(u, v, theta, max_range / 0.5, beliefs)
+            what, distance = agreement.cast_ray(u, v, theta, max_range / 0.5, beliefs)
             assert ray == Ray(distance * 0.5, WORDS[what]), (u, v, theta)
             found.append(ray.found)
     words = ("occupied", "unknown", "nothing") if max_range == 3.0 else ("occupied", "unknown")

@@ -9,9 +9,9 @@ import zenoh
 
 from ogm_client import ClientError, NobodyAnswered, RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
-from ogm_core import messages
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
+from ogm_core.wire import messages
 
 SWEEP = {"angle_min": -0.5, "angle_increment": 0.25, "range_min": 0.1, "range_max": 30.0}
 

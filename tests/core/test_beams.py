@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import naive
-from ogm_core import beams
-from ogm_core.beams import HIT, NO_RETURN, SKIPPED
 from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.projection import Beams, beam_model, directions, project, read_only
+from ogm_core.sensor_models import beams
+from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED
+from ogm_core.sensor_models.projection import Beams, beam_model, directions, project, read_only
 from ogm_core.types import PlacedScan, Pose, Scan
 
 NAN, INF = math.nan, math.inf

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import naive
-from ogm_core import bresenham
-from ogm_core.beams import HIT, NO_RETURN, SKIPPED
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.lattice import CellRect
-from ogm_core.logodds import LogOdds
+from ogm_core.sensor_models import bresenham
+from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED
 
 LONGEST = 1_482_910
 """The largest M below 2^20.5."""

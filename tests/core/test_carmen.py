@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from log_lines import flaser, odom, parsed, parsed_twice, robotlaser, same
-from ogm_core.carmen import CarmenLog
-from ogm_core.carmen_mount import mount_of_laser
-from ogm_core.decimals import read_decimals
 from ogm_core.errors import BadMessage
+from ogm_core.logs.carmen import CarmenLog
+from ogm_core.logs.carmen_mount import mount_of_laser
+from ogm_core.logs.decimals import read_decimals
 from ogm_core.types import IDENTITY, Pose
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from log_lines import POSE, SCAN, flaser, line, odom, parsed, robotlaser
-from ogm_core.carmen import CarmenLog
-from ogm_core.carmen_mount import mount_of_laser
 from ogm_core.errors import BadRecording, BadSetting
-from ogm_core.recordings import RecordedPose, RecordedScan, RecordingReader
+from ogm_core.logs.carmen import CarmenLog
+from ogm_core.logs.carmen_mount import mount_of_laser
+from ogm_core.logs.recordings import RecordedPose, RecordedScan, RecordingReader
 from ogm_core.types import IDENTITY, Pose, PoseStamped
 
 DATASETS = os.environ.get("OGM_DATASETS")

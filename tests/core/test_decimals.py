@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm_core.decimals import read_decimals
-from ogm_core.recorded import text_ranges
+from ogm_core.logs.decimals import read_decimals
+from ogm_core.logs.recorded import text_ranges
 
 PLAIN = st.from_regex(r"-?(0|[1-9][0-9]{0,8})(\.[0-9]{1,6})?", fullmatch=True)
 ALMOST = st.text('0123456789.-+e_"infa', min_size=1, max_size=20)

@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from ogm_core.deflate import LONGEST_RUN, SIZE_SHIFT, code_for
+from ogm_core.pictures.deflate import LONGEST_RUN, SIZE_SHIFT, code_for
 
 SHAPE = 256, LONGEST_RUN + 1
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import naive
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.logodds import LogOdds
 from ogm_core.types import Pose, Scan
 
 NAN, INF = math.nan, math.inf

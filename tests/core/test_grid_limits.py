@@ -7,11 +7,11 @@ import pytest
 
 import naive
 from ogm_core import grid as grid_module
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
-from ogm_core.logodds import LogOdds
 from ogm_core.types import Pose, Scan
 
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2

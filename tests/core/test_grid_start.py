@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.logodds import LogOdds
 from ogm_core.types import Pose, Scan
 
 BOTH = pytest.mark.parametrize("cells", ["int16", "float64"])

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from log_lines import POSE, SCAN, line, parsed_twice, same
-from ogm_core.decimals import read_decimals
-from ogm_core.jsonlines import parse_line, to_line
-from ogm_core.recordings import RecordedPose, RecordedScan
+from ogm_core.logs.decimals import read_decimals
+from ogm_core.logs.jsonlines import parse_line, to_line
+from ogm_core.logs.recordings import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -3,7 +3,7 @@
 import pytest
 
 from ogm_core.errors import BadSetting
-from ogm_core.keys import SERVICES, MapKeys, Source, check_name
+from ogm_core.wire.keys import SERVICES, MapKeys, Source, check_name
 
 KEYS = MapKeys("lab")
 BAD_NAMES = ["", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]

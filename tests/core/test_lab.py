@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.lidar import Lidar, measure
-from ogm_core.logodds import LogOdds
-from ogm_core.palettes import trinary
+from ogm_core.simulation.lidar import Lidar, measure
+from ogm_core.simulation.worlds import lab
 from ogm_core.types import Scan
-from ogm_core.worlds import lab
 
 SEED = 1
 ROUND = 220

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core import lidar as module
 from ogm_core.errors import BadSetting
-from ogm_core.lidar import Lidar, measure, true_ranges
-from ogm_core.trajectories import CirclePath
+from ogm_core.simulation import lidar as module
+from ogm_core.simulation.lidar import Lidar, measure, true_ranges
+from ogm_core.simulation.trajectories import CirclePath
+from ogm_core.simulation.worlds import World, lab, office
 from ogm_core.types import Pose
-from ogm_core.worlds import World, lab, office
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 LONG = 100.0

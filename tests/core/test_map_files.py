@@ -7,10 +7,10 @@ import pytest
 import yaml
 from PIL import Image
 
+from ogm_core.cells.classes import probability_grey, ros_grey, trinary
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
-from ogm_core.lattice import Lattice, Region
-from ogm_core.logodds import LogOdds
-from ogm_core.map_files import (
+from ogm_core.files.map_files import (
     PALETTES,
     encode_json,
     encode_npz,
@@ -19,7 +19,7 @@ from ogm_core.map_files import (
     encode_yaml,
     read_npz,
 )
-from ogm_core.palettes import probability_grey, ros_grey, trinary
+from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 
 MODELS = [LogOdds("int16"), LogOdds("float64"), LogOdds("int16", p_prior=0.3, p_free=0.2)]

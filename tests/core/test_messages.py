@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm_core import messages
 from ogm_core.errors import BadMessage
-from ogm_core.messages import decode_pose, decode_scan, encode_pose, encode_scan
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
+from ogm_core.wire import messages
+from ogm_core.wire.messages import decode_pose, decode_scan, encode_pose, encode_scan
 
 NAN, INF = math.nan, math.inf
 MISSING = object()

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ogm_core import patrol as module
 from ogm_core.errors import BadWorld
+from ogm_core.files.ros_map_reader import read_ros_map
 from ogm_core.lattice import Lattice
-from ogm_core.patrol import patrol
-from ogm_core.ros_map_reader import read_ros_map
-from ogm_core.trajectories import MAX_POSES
+from ogm_core.simulation import patrol as module
+from ogm_core.simulation.patrol import patrol
+from ogm_core.simulation.trajectories import MAX_POSES
 
 
 def drawn(*rows):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ogm_core.png import write_png
+from ogm_core.pictures.png import write_png
 
 random = np.random.default_rng(7)
 

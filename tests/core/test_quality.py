@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice, Region
-from ogm_core.logodds import LogOdds
-from ogm_core.quality import DECIDED, Consistency, held_out, map_figures
+from ogm_core.quality.figures import DECIDED, Consistency, held_out, map_figures
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan
 

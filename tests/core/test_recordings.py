@@ -11,7 +11,7 @@ import pytest
 
 from log_lines import POSE, SCAN, flaser, line, robotlaser, same
 from ogm_core.errors import BadRecording, BadSetting
-from ogm_core.recordings import (
+from ogm_core.logs.recordings import (
     CARMEN_SUFFIXES,
     JSON_SUFFIXES,
     RecordedPose,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ogm_core import ros_map_reader
 from ogm_core.errors import BadMapFile
-from ogm_core.ros_map import write_pgm, write_yaml
-from ogm_core.ros_map_reader import read_ros_map
+from ogm_core.files import ros_map_reader
+from ogm_core.files.ros_map_reader import read_ros_map
+from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 
 EVERY_GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 PGM = write_pgm(EVERY_GREY)

@@ -4,10 +4,10 @@ import math
 import numpy as np
 import pytest
 
+from ogm_core.cells.classes import probability_grey, trinary
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
-from ogm_core.logodds import LogOdds
-from ogm_core.palettes import probability_grey, trinary
 from ogm_core.snapshot import MapSnapshot
 
 INF = math.inf

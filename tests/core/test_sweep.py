@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 import naive
-from ogm_core.beams import HIT
+from ogm_core.cells.classes import FREE, trinary
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.lidar import Lidar, measure, true_ranges
-from ogm_core.logodds import LogOdds
-from ogm_core.palettes import FREE, trinary
-from ogm_core.poses import PoseHistory
-from ogm_core.projection import project
-from ogm_core.quality import Consistency, held_out
-from ogm_core.trajectories import CirclePath
+from ogm_core.placing.pose_history import PoseHistory
+from ogm_core.quality.figures import Consistency, held_out
+from ogm_core.sensor_models.beams import HIT
+from ogm_core.sensor_models.projection import project
+from ogm_core.simulation.lidar import Lidar, measure, true_ranges
+from ogm_core.simulation.trajectories import CirclePath
+from ogm_core.simulation.worlds import load_world
 from ogm_core.types import IDENTITY, PlacedScan, Pose, Scan, Sweep
-from ogm_core.worlds import load_world
 
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000

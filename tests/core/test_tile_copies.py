@@ -5,9 +5,9 @@ import pytest
 
 import naive
 from ogm_core.lattice import CellRect
-from ogm_core.strips import TILE, StripStore
-from ogm_core.tile_copies import copy_tiles
-from ogm_core.tiled_cells import TiledCells
+from ogm_core.tiles.copies import copy_tiles
+from ogm_core.tiles.store import TILE, StripStore
+from ogm_core.tiles.view import TiledCells
 
 INT16, FLOAT64 = np.dtype(np.int16), np.dtype(np.float64)
 

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from ogm_core.errors import BadWorld
-from ogm_core.trajectories import MAX_POSES, MAX_TURN, CirclePath, Trajectory, WaypointPath
+from ogm_core.simulation.trajectories import MAX_POSES, MAX_TURN, CirclePath, Trajectory, WaypointPath
 from ogm_core.types import Pose
 
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0))

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 import naive_truth
-from ogm_core import logodds, truth
+from ogm_core.cells import log_odds as logodds
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.lattice import CellRect, Lattice
-from ogm_core.logodds import LogOdds
+from ogm_core.quality import truth
+from ogm_core.quality.truth import occupied_cells, truth_figures
+from ogm_core.simulation.trajectories import CirclePath
+from ogm_core.simulation.worlds import World, lab
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.trajectories import CirclePath
-from ogm_core.truth import occupied_cells, truth_figures
-from ogm_core.worlds import World, lab
 
 UNIT = Lattice(1.0)
 BOTH = pytest.mark.parametrize("cells", ["int16", "float64"])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ogm_core.errors import BadWorld
+from ogm_core.files.strict_yaml import parse_yaml
 from ogm_core.lattice import Region
-from ogm_core.strict_yaml import parse_yaml
-from ogm_core.trajectories import CirclePath, WaypointPath
+from ogm_core.simulation.trajectories import CirclePath, WaypointPath
+from ogm_core.simulation.worlds import dump_world, lab, load_world, office, world_named
 from ogm_core.types import Pose
-from ogm_core.worlds import dump_world, lab, load_world, office, world_named
 
 TOO_DEEP = "lists and mappings lie in each other more than 50 deep", "exceeded maximum nesting depth"
 """Our words, and those of a libyaml that has a limit, too."""
@@ -242,7 +242,7 @@ def test_an_alias_bomb_is_refused_without_being_spelt_out():
 )
 def test_deep_nesting_is_refused(text):
     # In a process of its own: what recurses without end in C ends the process.
-    script = "import sys; from ogm_core.worlds import load_world; load_world(sys.stdin.read())"
+    script = "import sys; from ogm_core.simulation.worlds import load_world; load_world(sys.stdin.read())"
     ended = subprocess.run(
         [sys.executable, "-c", script], input=text, text=True, capture_output=True, timeout=60
     )
@@ -294,8 +294,8 @@ def test_missing_files_name_the_built_in_worlds(name, tmp_path, monkeypatch):
 
 def test_worlds_load_neither_pictures_nor_ways():
     code = (
-        "import sys; from ogm_core.worlds import world_named; world_named('office')\n"
-        "print({'PIL', 'scipy', 'ogm_core.patrol'} & set(sys.modules))"
+        "import sys; from ogm_core.simulation.worlds import world_named; world_named('office')\n"
+        "print({'PIL', 'scipy', 'ogm_core.simulation.patrol'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"

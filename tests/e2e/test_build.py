@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ogm_core.recordings import RecordedScan, RecordingReader
+from ogm_core.logs.recordings import RecordedScan, RecordingReader
 
 FILES = {"map.png", "map.pgm", "map.yaml", "map.npz", "quality.json"}
 FIGURES = {

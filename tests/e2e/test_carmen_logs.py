@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from log_lines import robotlaser
-from ogm_core.recordings import RecordedScan, RecordingReader
+from ogm_core.logs.recordings import RecordedScan, RecordingReader
 from ogm_core.types import Pose
 
 MOUNT = Pose(0.4, -0.3, 0.8)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import typer
 
-from ogm_core.keys import SERVICES, MapKeys
-from ogm_core.messages import encode_pose, encode_scan
 from ogm_core.types import IDENTITY, PoseStamped, Scan
-from ogm_services import exit_codes
+from ogm_core.wire.keys import SERVICES, MapKeys
+from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.cli import app
 from ogm_services.mapper.ledger import DROP_REASONS
-from ogm_services.settings import Settings
+from ogm_services.runtime import endings
+from ogm_services.settings.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -103,7 +103,7 @@ def test_flags_and_exit_codes_exist():
     flags = {flag for command in commands for option in command.params for flag in option.opts} | {"--help"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README.replace("<!--", ""))) - flags == set()
     codes = re.search(r"Exit codes: (\d) done, (\d) .+?, (\d) .+?,\s(\d+) ", README, re.DOTALL).groups()
-    expected = (0, exit_codes.FAILED, exit_codes.BAD_INPUT, exit_codes.INTERRUPTED)
+    expected = (0, endings.FAILED, endings.BAD_INPUT, endings.INTERRUPTED)
     assert tuple(map(int, codes)) == expected
 
 

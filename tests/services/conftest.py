@@ -15,9 +15,9 @@ import pytest
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
-from ogm_core.keys import MapKeys
+from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.service import MapperService
-from ogm_services.settings import Settings
+from ogm_services.settings.settings import Settings
 
 MAP_NAME = "hall"
 T0 = 1_700_000_000_000_000_000

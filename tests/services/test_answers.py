@@ -9,18 +9,18 @@ import time
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.logodds import LogOdds
 from ogm_core.types import Pose, Scan
-from ogm_services.answer import UnknownName
-from ogm_services.mapper import answers as answers_module
-from ogm_services.mapper.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.live_map import LiveMap
-from ogm_services.mapper.observer import Observer
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.monitor import Observer
+from ogm_services.mapper.serving import answers as answers_module
+from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
+from ogm_services.replies.answer import UnknownName
 
 HERE = Pose(0.25, 0.25, 0.0)
 HIT = math.log(0.7 / 0.3)

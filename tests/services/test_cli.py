@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from ogm_core.errors import BadRecording, LimitReached
 from ogm_core.lattice import Region
 from ogm_services.cli import app
-from ogm_services.simulator_options import SimulatorOptions
+from ogm_services.commands.simulator_options import SimulatorOptions
 
 MAP_FLAGS = (
     "--preset --resolution --model --traversal --p-occ --p-free --p-prior --alpha --l-min --l-max --reach "
@@ -189,7 +189,7 @@ def test_the_mapper_gets_the_settings_of_all_sources(ogm, stub, monkeypatch, tmp
 
 
 def test_demo_uses_the_ordinary_defaults_in_the_labs_world(ogm, stub):
-    run = stub("ogm_services.demo", "run_demo")
+    run = stub("ogm_services.commands.demo", "run_demo")
     assert ogm("demo", "--duration", "2.5", "--http-port", "0").exit_code == 0
     (settings,) = run.args
     assert run.options == {"world": "lab", "duration": 2.5, "out": None}
@@ -197,7 +197,7 @@ def test_demo_uses_the_ordinary_defaults_in_the_labs_world(ogm, stub):
 
 
 def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
-    run = stub("ogm_services.simulator", "run_simulator")
+    run = stub("ogm_services.commands.simulator", "run_simulator")
     flags = "--robots 3 --rate 5 --seed 4 --world office --beams 90 --fov 180 --range-max 12 --noise 0.01"
     assert ogm("simulate", *flags.split(), "--connect", "tcp/a:1").exit_code == 0
     network, options = run.args
@@ -206,13 +206,13 @@ def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
 
 
 def test_simulate_without_flags(ogm, stub):
-    run = stub("ogm_services.simulator", "run_simulator")
+    run = stub("ogm_services.commands.simulator", "run_simulator")
     assert ogm("simulate").exit_code == 0
     assert run.args[1] == SimulatorOptions()
 
 
 def test_simulate_records_without_network(ogm, stub):
-    record = stub("ogm_services.simulator", "run_simulator")
+    record = stub("ogm_services.commands.simulator", "run_simulator")
     assert ogm("simulate", "--out", "run.jsonl.gz", "--scans", "10", "--fov", "360").exit_code == 0
     options, out = record.args
     assert (options.scans, options.fov, out) == (10, math.tau, Path("run.jsonl.gz"))
@@ -220,7 +220,7 @@ def test_simulate_records_without_network(ogm, stub):
 
 @pytest.mark.parametrize(("text", "speed"), [("1", 1.0), ("2.5", 2.5), ("max", None)])
 def test_replay(ogm, stub, text, speed):
-    run = stub("ogm_services.replay", "run_replay")
+    run = stub("ogm_services.commands.replay", "run_replay")
     flags = f"--speed {text} --range-max 50 --robot r2 --odometry --map m"
     result = ogm("replay", "a.log", *flags.split())
     assert result.exit_code == 0
@@ -230,13 +230,13 @@ def test_replay(ogm, stub, text, speed):
 
 
 def test_replay_runs_as_recorded_unless_told_otherwise(ogm, stub):
-    run = stub("ogm_services.replay", "run_replay")
+    run = stub("ogm_services.commands.replay", "run_replay")
     ogm("replay", "a.log")
     assert run.options == {"speed": 1.0, "range_max": None, "robot": None, "odometry": False}
 
 
 def test_build(ogm, stub):
-    run = stub("ogm_services.build", "run_build")
+    run = stub("ogm_services.commands.build", "run_build")
     flags = "--out maps --hold-out 5 --range-max 8 --preset lab"
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     log, out, settings = run.args
@@ -248,7 +248,7 @@ def test_build(ogm, stub):
 
 
 def test_bad_input_found_later_is_exit_code_2(ogm, stub):
-    stub("ogm_services.build", "run_build", BadRecording("a.log: holds no scan"))
+    stub("ogm_services.commands.build", "run_build", BadRecording("a.log: holds no scan"))
     assert one_line(ogm("build", "a.log", "--out", "x"), 2) == "ogm: a.log: holds no scan\n"
 
 
@@ -258,7 +258,7 @@ def test_a_failure_at_run_time_is_exit_code_1(ogm, stub):
 
 
 def test_a_bug_keeps_its_traceback(ogm, stub):
-    stub("ogm_services.build", "run_build", ZeroDivisionError("bug"))
+    stub("ogm_services.commands.build", "run_build", ZeroDivisionError("bug"))
     with pytest.raises(ZeroDivisionError, match="bug"):
         ogm("build", "a.log", "--out", "x")
 
@@ -276,9 +276,9 @@ main()
 INTERRUPTIONS = [
     ("ogm_services.mapper.service", "run_mapper", "mapper", signal.SIGINT, 0),
     ("ogm_services.mapper.service", "run_mapper", "mapper", signal.SIGTERM, 0),
-    ("ogm_services.demo", "run_demo", "demo", signal.SIGINT, 0),
-    ("ogm_services.replay", "run_replay", "replay a.log", signal.SIGINT, 130),
-    ("ogm_services.build", "run_build", "build a.log --out x", signal.SIGINT, 130),
+    ("ogm_services.commands.demo", "run_demo", "demo", signal.SIGINT, 0),
+    ("ogm_services.commands.replay", "run_replay", "replay a.log", signal.SIGINT, 130),
+    ("ogm_services.commands.build", "run_build", "build a.log --out x", signal.SIGINT, 130),
 ]
 
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
-from ogm_core.logodds import LogOdds
+from ogm_core.simulation.trajectories import CirclePath
+from ogm_core.simulation.worlds import World, lab
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.trajectories import CirclePath
 from ogm_core.types import Pose, Scan
-from ogm_core.worlds import World, lab
-from ogm_services.figure import OBSTACLES, ROBOTS, UNKNOWN, describe, draw_map, encode_figure
-from ogm_services.trails import Trail
+from ogm_services.results.driven_paths import Trail
+from ogm_services.results.figure import OBSTACLES, ROBOTS, UNKNOWN, describe, draw_map, encode_figure
 
 NAN = math.nan
 
@@ -291,11 +291,11 @@ def test_pdf_and_svg_hold_lines_and_letters_not_pixels():
 
 def test_matplotlib_is_loaded_for_figures_only_and_without_pyplot():
     code = (
-        "import sys, ogm_services.build, ogm_services.cli\n"
+        "import sys, ogm_services.commands.build, ogm_services.cli\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "import ogm_services.figure as figure, numpy as np\n"
+        "import ogm_services.results.figure as figure, numpy as np\n"
         "from ogm_core.grid import MapSnapshot\n"
-        "from ogm_core.logodds import LogOdds\n"
+        "from ogm_core.cells.log_odds import LogOdds\n"
         "from ogm_core.lattice import Lattice\n"
         "snapshot = MapSnapshot(np.full((2, 2), 1.5), LogOdds('float64'), Lattice(1.0), (0, 0), 'e', 1, 1)\n"
         "figure.encode_figure(figure.draw_map(snapshot, 'a', 'b', None, {}), 'png')\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ogm_core.errors import BadInput
-from ogm_services.figure_file import check_figure, write_figure
+from ogm_services.results.figure_file import check_figure, write_figure
 
 
 def refused(path, out):

@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.logodds import LogOdds
-from ogm_core.quality import map_figures, quality_figures
-from ogm_core.truth import truth_figures
+from ogm_core.quality.figures import map_figures, quality_figures
+from ogm_core.quality.truth import truth_figures
+from ogm_core.simulation.worlds import lab, load_world
 from ogm_core.types import Pose, Scan
-from ogm_core.worlds import lab, load_world
-from ogm_services.mapper import live_map as live_map_module
-from ogm_services.mapper.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
+from ogm_services.mapper.live import live_map as live_map_module
+from ogm_services.mapper.live.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
 
 HERE = Pose(0.25, 0.25, 0.0)
 SETTINGS = GridSettings(resolution=0.5)

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from ogm_services.loading import loading
+from ogm_services.runtime.loading import loading
 
 
 def test_what_is_loaded_is_never_searched_for_garbage(monkeypatch):

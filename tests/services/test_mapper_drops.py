@@ -4,7 +4,7 @@ import pytest
 
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
-from ogm_core.poses import CAPACITY
+from ogm_core.placing.pose_history import CAPACITY
 from ogm_core.types import Pose
 from ogm_services.mapper.mapper import MAX_WAITING
 

@@ -10,9 +10,9 @@ import pytest
 
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
-from ogm_services.mapper.http_side import Health, build_app
+from ogm_services.mapper.intake.worker import Unavailable
 from ogm_services.mapper.service import CannotServe
-from ogm_services.mapper.worker import Unavailable
+from ogm_services.mapper.serving.http_routes import Health, build_app
 
 
 class BrokenAnswers:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from ogm_client.session import NetworkConfig, open_session
-from ogm_core.logodds import LogOdds
+from ogm_core.cells.log_odds import LogOdds
 
 STREAMED = 1.2
 """How long readers and writer run side by side, s."""

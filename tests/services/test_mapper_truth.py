@@ -8,12 +8,12 @@ import pytest
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
-from ogm_core.truth import truth_figures
-from ogm_core.worlds import dump_world, lab, load_world, office
-from ogm_services.mapper import live_map as live_map_module
-from ogm_services.mapper import observer as observer_module
-from ogm_services.mapper import series as series_module
-from ogm_services.mapper.series import Sample
+from ogm_core.quality.truth import truth_figures
+from ogm_core.simulation.worlds import dump_world, lab, load_world, office
+from ogm_services.mapper.live import history as series_module
+from ogm_services.mapper.live import live_map as live_map_module
+from ogm_services.mapper.live import monitor as observer_module
+from ogm_services.mapper.live.history import Sample
 
 WORLD = load_world("{walls: [[2.25, -3, 2.25, 3], [-3, 1.75, 3, 1.75]], path: {circle: [0, 0, 1], poses: 4}}")
 TEXT = dump_world(WORLD)

@@ -7,7 +7,7 @@ import msgpack
 import pytest
 import zenoh
 
-from ogm_services.mapper.zenoh_side import AlreadyMapped
+from ogm_services.mapper.serving.zenoh_routes import AlreadyMapped
 
 META = ["epoch", "revision", "stamp", "resolution", "width", "height", "origin", "anchor", "offset"]
 

@@ -3,9 +3,9 @@
 import pytest
 from fastapi import Request
 
-from ogm_services.answer import Answer
-from ogm_services.mapper import http_side
-from ogm_services.mapper.live_map import Identity
+from ogm_services.mapper.live.live_map import Identity
+from ogm_services.mapper.serving import http_routes as http_side
+from ogm_services.replies.answer import Answer
 
 META = {"epoch": "e", "revision": 3, "stamp": 7, "resolution": 0.1, "origin": {"x": 0.0, "y": 0.0}}
 

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from ogm_core.recordings import RecordedScan, write_jsonl
+from ogm_core.logs.recordings import RecordedScan, write_jsonl
 from ogm_core.types import IDENTITY, Scan
-from ogm_services import replay
-from ogm_services.replay import ReplayFailed, run_replay
-from ogm_services.settings import NetworkSettings
+from ogm_services.commands import replay
+from ogm_services.commands.replay import ReplayFailed, run_replay
+from ogm_services.settings.settings import NetworkSettings
 
 
 @contextmanager

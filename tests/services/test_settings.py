@@ -4,11 +4,11 @@ import pytest
 import yaml
 
 from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.logodds import LogOdds
-from ogm_services.settings import Settings, load_settings, without_settings
+from ogm_services.settings.settings import Settings, load_settings, without_settings
 
 
 @pytest.fixture

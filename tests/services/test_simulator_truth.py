@@ -6,12 +6,12 @@ import threading
 import pytest
 import zenoh
 
-from ogm_core.truth import truth_figures
-from ogm_core.worlds import dump_world, load_world, world_named
-from ogm_services import simulator as simulator_module
-from ogm_services.settings import NetworkSettings
-from ogm_services.simulator import run_simulator
-from ogm_services.simulator_options import SimulatorOptions
+from ogm_core.quality.truth import truth_figures
+from ogm_core.simulation.worlds import dump_world, load_world, world_named
+from ogm_services.commands import simulator as simulator_module
+from ogm_services.commands.simulator import run_simulator
+from ogm_services.commands.simulator_options import SimulatorOptions
+from ogm_services.settings.settings import NetworkSettings
 
 WORLD = """
 name: a box

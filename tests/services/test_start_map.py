@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadMapFile, BadSetting
-from ogm_core.logodds import LogOdds
-from ogm_core.map_files import encode_pgm, encode_yaml
-from ogm_core.palettes import trinary
-from ogm_core.ros_map import write_pgm, write_yaml
-from ogm_core.ros_map_reader import read_ros_map
+from ogm_core.files.map_files import encode_pgm, encode_yaml
+from ogm_core.files.ros_map_reader import read_ros_map
+from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_services.cli import app
-from ogm_services.settings import Settings, load_settings
-from ogm_services.start_map import start_cells, started_grid
+from ogm_services.mapper.live.start_map import start_cells, started_grid
+from ogm_services.settings.settings import Settings, load_settings
 
 EVERY_VALUE = np.arange(-1, 101, dtype=np.int8).reshape(6, 17)
 KNOWN = EVERY_VALUE >= 0

@@ -6,15 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm_core import beams, bresenham, dda, deflate, judge, run_coding, sector, spans, star, tiled_cells
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import LimitReached
+from ogm_core.files.map_files import PALETTES, encode_png
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.logodds import LogOdds
-from ogm_core.map_files import PALETTES, encode_png
-from ogm_core.messages import decode_scan, encode_scan
+from ogm_core.pictures import deflate, run_coding
+from ogm_core.quality import agreement
+from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
+from ogm_core.sensor_models import area_outline as star
+from ogm_core.tiles import view as tiled_cells
 from ogm_core.types import Pose, Scan
-from ogm_services.mapper.live_map import LiveMap
+from ogm_core.wire.messages import decode_scan, encode_scan
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.service import OccupancyGrid, warm_up
 
 KERNELS = (
@@ -28,13 +32,13 @@ KERNELS = (
     dda.touch_tiles,
     dda.update_cells,
     star.turned,
-    sector.see,
-    sector.spans,
+    area_fill.see,
+    area_fill.spans,
     spans.extent,
     spans.touch_tiles,
     spans.update_blocks,
     spans.update_one_by_one,
-    judge.agreement,
+    agreement.agreement,
     deflate._runs,
     run_coding.count_runs,
     run_coding.code_tiles,

@@ -1,5 +1,5 @@
 """The mapper: Zenoh in, Zenoh and HTTP out.
 
-A scan's way: zenoh_side (callback), inbox, worker, mapper, the grid; and out again: view, answers, and the
-Zenoh and HTTP sides.
+A scan's way: intake (callback, queue, worker), the scan placer, the live map; and out again: snapshots,
+answers, and the routes of HTTP and Zenoh.
 """

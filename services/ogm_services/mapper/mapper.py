@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused
-from ogm_core.poses import PoseHistory
+from ogm_core.placing.pose_history import PoseHistory
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
-from ogm_services.limited_log import LimitedLog
 from ogm_services.mapper.ledger import DropReason, Ledger
+from ogm_services.runtime.limited_log import LimitedLog
 
 MAX_WAITING = 64
 """A scan waits for its pose until this many later ones of its sensor wait too."""

@@ -19,25 +19,25 @@ import uvicorn
 
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import LimitReached, MapEmpty, OgmError
+from ogm_core.files.map_files import encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
-from ogm_core.keys import MapKeys
 from ogm_core.lattice import Region
-from ogm_core.map_files import encode_png
 from ogm_core.types import Pose, Scan
-from ogm_services.exit_codes import held_signals
-from ogm_services.mapper.answers import Answers
-from ogm_services.mapper.http_side import Health, build_app
-from ogm_services.mapper.inbox import Inbox
+from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.intake.queue import Inbox
+from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.live_map import LiveMap
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.monitor import Observer
+from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.mapper.mapper import Mapper
-from ogm_services.mapper.observer import Observer
-from ogm_services.mapper.worker import Worker
-from ogm_services.mapper.zenoh_side import ZenohSide
-from ogm_services.output import check_folder, write_map
-from ogm_services.settings import Settings
-from ogm_services.start_map import started_grid
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.mapper.serving.zenoh_routes import ZenohSide
+from ogm_services.results.map_folder import check_folder, write_map
+from ogm_services.runtime.endings import held_signals
+from ogm_services.settings.settings import Settings
 
 LIVE_MAP = "live map"
 """What the line with the URL begins with that a mapper prints when it is ready."""

@@ -1,0 +1,1 @@
+"""What one cell stores, how an observation changes it, and what it means."""

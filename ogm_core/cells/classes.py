@@ -1,0 +1,49 @@
+"""What a cell's probability becomes when it is served: element by element, from (probability, known).
+
+Every encoder here is a `log_odds.Encoder`: hand it to `LogOdds.encode` for stored cells, or call it
+with two arrays of one shape.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE
+
+OCCUPIED = 100
+FREE = 0
+UNKNOWN = -1
+"""Values of a trinary cell, those of ROS's nav_msgs/OccupancyGrid; UNKNOWN is also "undecided"."""
+
+GREY_OCCUPIED = 0
+GREY_FREE = 254
+GREY_UNKNOWN = 205
+"""Greys that ROS 2 nav2 map_server writes: (255 - 205) / 255 = 0.19608 lies just above its 0.196."""
+GREY_MIDDLE = 127
+"""Unknown in a probability picture."""
+
+Probability = NDArray[np.float64]
+Known = NDArray[np.bool_]
+
+
+def trinary(p: Probability, known: Known) -> NDArray[np.int8]:
+    """100 where occupied (p > 0.65), 0 where free (p < 0.196), -1 where undecided or unknown."""
+    return _three(p, known, OCCUPIED, FREE, UNKNOWN).astype(np.int8)
+
+
+def ros_grey(p: Probability, known: Known) -> NDArray[np.uint8]:
+    """0 where occupied (p > 0.65), 254 where free (p < 0.196), 205 where undecided or unknown."""
+    return _three(p, known, GREY_OCCUPIED, GREY_FREE, GREY_UNKNOWN).astype(np.uint8)
+
+
+def probability_grey(p: Probability, known: Known) -> NDArray[np.uint8]:
+    """floor(255 p + 0.5), brighter is more likely occupied; 127 where unknown."""
+    return np.where(known, np.floor(255.0 * p + 0.5), GREY_MIDDLE).astype(np.uint8)
+
+
+def percent(p: Probability, known: Known) -> NDArray[np.int8]:
+    """floor(100 p + 0.5), or -1 where unknown."""
+    return np.where(known, np.floor(100.0 * p + 0.5), UNKNOWN).astype(np.int8)
+
+
+def _three(p: Probability, known: Known, occupied: int, free: int, neither: int) -> NDArray[np.int_]:
+    return np.where(known & (p > OCCUPIED_ABOVE), occupied, np.where(known & (p < FREE_BELOW), free, neither))

@@ -1,0 +1,194 @@
+"""Map snapshots as files: PNG, PGM with its YAML, JSON, NPZ. Only here are rows turned north up."""
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from ogm_core.cells.classes import Known, Probability, percent, probability_grey, ros_grey, trinary
+from ogm_core.cells.log_odds import Encoder, row_bands
+from ogm_core.errors import BadInput, BadParameter, MapEmpty
+from ogm_core.files.ros_map_writer import write_pgm, write_yaml
+from ogm_core.pictures.png import write_png
+from ogm_core.snapshot import MapSnapshot
+
+FRAME = "map"
+PALETTES: dict[str, Encoder] = {"ros": ros_grey, "probability": probability_grey}
+
+_ENTRIES = np.frombuffer(b"".join(b"%3d," % value for value in range(-1, 101)), np.uint32)
+"""-1, 0 ... 100 as items of a JSON array, four bytes each (JSON allows the blanks): a map is one look-up."""
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    KeyError,
+    ValueError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    MemoryError,
+)
+"""What zipfile and numpy raise on a damaged file; NotImplementedError is a RuntimeError."""
+
+
+def encode_png(snap: MapSnapshot, palette: str = "ros") -> bytes:
+    """8-bit grey PNG, north up.
+
+    Raises:
+        MapEmpty: there is nothing to draw.
+        BadParameter: no such palette.
+    """
+    if isinstance(snap.stored, np.ndarray):
+        return write_png(_picture(snap, palette))
+    encoder = _chosen(PALETTES, "palette", palette)
+    _check_not_empty(snap)
+    return snap.stored.png(snap.model, encoder)
+
+
+def encode_pgm(snap: MapSnapshot, palette: str = "ros") -> bytes:
+    """Binary PGM, north up; with palette "ros" nav2 map_server reads it by the file of `encode_yaml`.
+
+    Raises:
+        MapEmpty: there is nothing to draw.
+        BadParameter: no such palette.
+    """
+    return write_pgm(_picture(snap, palette))
+
+
+def encode_yaml(snap: MapSnapshot, image_name: str) -> bytes:
+    """nav2 map_server's description of the PGM named `image_name`, UTF-8.
+
+    Raises:
+        MapEmpty: there is no picture to describe.
+    """
+    _check_not_empty(snap)
+    return write_yaml(image_name, snap.resolution, snap.origin).encode()
+
+
+def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> bytes:
+    """JSON object: name, frame, what `MapSnapshot.meta` says, and `data`.
+
+    `data` is row-major from the lower-left cell. With values "percent" it is 0 to 100, or -1 where unknown;
+    with "trinary" 0, 100 or -1.
+
+    Raises:
+        BadParameter: no such values.
+    """
+    entries = snap.model.encode(snap.cells, _chosen(_VALUES, "values", values))
+    head = json.dumps({"map": map_name, "frame": FRAME, **snap.meta()})
+    data = entries.reshape(-1).view(np.uint8).data
+    return b"".join((head[:-1].encode(), b', "data": [', data[:-1], b"]}"))  # without the last comma
+
+
+def encode_npz(snap: MapSnapshot) -> bytes:
+    """NumPy archive, equal bytes for equal maps: `log_odds`, `resolution`, `origin`, `offset`, `anchor`.
+
+    `log_odds` is [iy, ix], row 0 south, NaN where unknown; float64 of float64 cells, else float32.
+    """
+    arrays = {
+        "log_odds": _log_odds(snap),
+        "resolution": np.array(snap.resolution),
+        "origin": np.array(snap.origin),
+        "offset": np.array(snap.offset, np.int64),
+        "anchor": np.array(snap.lattice.anchor),
+    }
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            # Opened by name, a member is dated 1980, whatever the clock says.
+            with archive.open(f"{name}.npy", "w", force_zip64=array.nbytes >= 2**31) as member:
+                npy.write_array(member, array, allow_pickle=False)
+    return file.getvalue()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NpzMap:
+    """What `encode_npz` wrote: log odds [iy, ix], row 0 south, NaN where unknown.
+
+    Cell [iy, ix] has its lower-left corner at anchor + (offset + (ix, iy)) * resolution, m.
+    """
+
+    log_odds: NDArray[np.floating[Any]]
+    resolution: float
+    anchor: tuple[float, float]
+    offset: tuple[int, int]
+
+
+def read_npz(data: bytes) -> NpzMap:
+    """Read what `encode_npz` wrote.
+
+    Raises:
+        BadInput: it is something else, or damaged; the text says what is wrong.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            log_odds, resolution, anchor, offset = (
+                _read_array(archive, name) for name in ("log_odds", "resolution", "anchor", "offset")
+            )
+    except _UNREADABLE as error:
+        raise BadInput(f"map.npz: not a map that can be read ({error})") from error
+    if log_odds.ndim != 2 or log_odds.dtype not in (np.float32, np.float64):
+        raise BadInput(f"map.npz: log_odds is {_kind(log_odds)}, rows of float32 or float64 are needed")
+    if resolution.shape != () or resolution.dtype != np.float64 or not 0.0 < resolution < np.inf:
+        raise BadInput(f"map.npz: resolution is {_kind(resolution)}, one positive number is needed")
+    if anchor.shape != (2,) or anchor.dtype != np.float64 or not np.isfinite(anchor).all():
+        raise BadInput(f"map.npz: anchor is {_kind(anchor)}, two finite numbers are needed")
+    if offset.shape != (2,) or offset.dtype != np.int64:
+        raise BadInput(f"map.npz: offset is {_kind(offset)}, two whole numbers are needed")
+    x, y = anchor.tolist()
+    ix, iy = offset.tolist()
+    return NpzMap(log_odds, float(resolution), (x, y), (ix, iy))
+
+
+def _picture(snap: MapSnapshot, palette: str) -> NDArray[np.uint8]:
+    """Greys, row 0 at the top, north."""
+    encoder = _chosen(PALETTES, "palette", palette)
+    _check_not_empty(snap)
+    return snap.model.encode(snap.cells, encoder)[::-1]
+
+
+def _check_not_empty(snap: MapSnapshot) -> None:
+    if snap.empty:
+        raise MapEmpty("the map has no known cell yet: try again after the first scan")
+
+
+def _chosen(encoders: Mapping[str, Encoder], what: str, name: str) -> Encoder:
+    if name not in encoders:
+        raise BadParameter(f"{what}: one of {', '.join(encoders)} is needed, got {name!r}")
+    return encoders[name]
+
+
+def _json_percent(p: Probability, known: Known) -> NDArray[np.uint32]:
+    return _ENTRIES[percent(p, known) + 1]
+
+
+def _json_trinary(p: Probability, known: Known) -> NDArray[np.uint32]:
+    return _ENTRIES[trinary(p, known) + 1]
+
+
+_VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}
+
+
+def _log_odds(snap: MapSnapshot) -> NDArray[np.floating[Any]]:
+    """Log odds, NaN where unknown: l in float64 for float64 cells, else rounded to float32."""
+    exact = snap.cells.dtype == np.float64
+    served = np.empty(snap.cells.shape, np.float64 if exact else np.float32)
+    for band in row_bands(snap.cells):
+        cells = snap.cells[band]
+        served[band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
+    return served
+
+
+def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    # Read whole first: zipfile has then checked the CRC before anything is believed.
+    return np.asarray(npy.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False))
+
+
+def _kind(array: NDArray[Any]) -> str:
+    return f"{array.dtype} of shape {array.shape}"

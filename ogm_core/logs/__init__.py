@@ -1,0 +1,1 @@
+"""Recorded logs: what they hold, and readers of their formats."""

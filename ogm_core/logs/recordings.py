@@ -1,0 +1,291 @@
+"""Recorded logs: what robots published, one message a line, read and written in file order.
+
+JSON lines (jsonlines) are read and written, CARMEN logs (carmen) are read. Times in a log
+may be wrong, repeated or zero, so the order of the lines is the order of the messages: nothing is sorted.
+"""
+
+import gzip
+import os
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import IO, BinaryIO, Self
+
+from ogm_core.errors import BadMessage, BadRecording, BadSetting
+from ogm_core.logs import jsonlines
+from ogm_core.logs.carmen import LASERS_READ, CarmenLog
+from ogm_core.logs.carmen_mount import mount_of_laser
+from ogm_core.logs.jsonlines import to_line
+from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan
+from ogm_core.logs.sniff import CARMEN_SUFFIXES, HEAD, JSON_SUFFIXES, folder, hint, why_not
+from ogm_core.types import IDENTITY
+from ogm_core.wire.keys import check_name
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
+
+__all__ = [
+    "CARMEN_SUFFIXES",
+    "JSON_SUFFIXES",
+    "Recorded",
+    "RecordedPose",
+    "RecordedScan",
+    "RecordingReader",
+    "read_lines",
+    "to_line",
+    "write_jsonl",
+]
+
+MAX_COMPLAINTS = 5
+"""How many malformed lines a reader quotes; it counts them all."""
+_QUOTED = 200  # characters of a complaint: a line may hold anything, at any length
+_SHOWN = 8  # names of messages that are not read
+
+Complain = Callable[[int, str], None]
+"""Called with the number of a malformed line, from 1, and what is wrong with it."""
+
+
+Parse = Callable[[bytes], Recorded | None]
+"""Reads one line: its message, or None if none is read; raises BadMessage if the line is malformed."""
+
+
+def read_lines(lines: Iterable[bytes], parse: Parse, complain: Complain) -> Iterator[Recorded]:
+    """Messages of a log's lines; a malformed line goes to `complain` and is passed over."""
+    for number, line in enumerate(lines, 1):
+        try:
+            recorded = parse(line)
+        except BadMessage as error:
+            complain(number, str(error))
+            continue
+        if recorded is not None:
+            yield recorded
+
+
+class RecordingReader:
+    """Reads a log of any known format, once, in file order.
+
+    Use it in a `with`, and iterate over it there: it yields RecordedPose and RecordedScan. `range_max` (m)
+    replaces that of every scan; `robot` renames the log's one robot. With `odometry` the ODOM lines of a
+    CARMEN log are the poses, and its scans carry none; such a log is read twice. `decimals`, as of
+    decimals.read_decimals, reads ranges faster, and the same.
+
+    `scans` and `poses` count what was read so far, `malformed` the lines that were passed over, and
+    `complaints` says what was wrong with the first of them. `size` is the file's size on disk in bytes.
+
+    Raises:
+        BadSetting: `range_max` or `robot` cannot be used.
+        BadRecording: on entering, the file cannot be opened, is of no format that is read, or lacks what
+            `odometry` needs; while iterating, it is truncated or corrupt, or holds a second robot although
+            `robot` is given; at the end, it held no scan.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        range_max: float | None = None,
+        robot: str | None = None,
+        odometry: bool = False,
+        max_beams: int = DEFAULT_MAX_BEAMS,
+        decimals: ReadDecimals | None = None,
+    ) -> None:
+        if range_max is not None and not 0.0 < range_max <= MAX_RANGE:
+            raise BadSetting(f"range-max: above 0 and at most {MAX_RANGE:g} m is needed, got {range_max:g}")
+        if robot is not None:
+            check_name(robot, "robot")
+        self.path = path
+        self.malformed = self.scans = self.poses = self.size = 0
+        self.complaints: list[str] = []
+        self._range_max = range_max
+        self._max_beams = max_beams
+        self._odometry = odometry
+        self._decimals = decimals
+        self._new_name = robot
+        self._old_name: str | None = None
+        self._file: BinaryIO | None = None
+        self._position = 0
+        self._head = b""
+        self._carmen: CarmenLog | None = None
+
+    @property
+    def position(self) -> int:
+        """Bytes of the file on disk that have been read, of `size`."""
+        return self._position if self._file is None else self._file.tell()
+
+    @property
+    def not_read(self) -> str:
+        """The laser messages of a CARMEN log that were passed over, as "20 RLASER"; "" if there were none."""
+        return "" if self._carmen is None else self._carmen.lasers_passed_over()
+
+    def __enter__(self) -> Self:
+        file = self._opened()
+        try:
+            self._begin(file)
+        except BaseException:
+            file.close()
+            self._file = None
+            raise
+        return self
+
+    def _opened(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except IsADirectoryError as error:
+            is_bag = any(entry.name == "metadata.yaml" for entry in self.path.iterdir())
+            raise BadRecording(f"{self.path}: {folder(is_bag=is_bag)}") from error
+        except OSError as error:
+            raise BadRecording(_cannot(self.path, "read", error)) from error
+
+    def _begin(self, file: BinaryIO) -> None:
+        """Refuse what is not read, and get ready for the first line."""
+        try:
+            self.size = os.fstat(file.fileno()).st_size
+            self._head = file.read(HEAD)
+            file.seek(0)
+        except OSError as error:
+            raise BadRecording(_cannot(self.path, "read", error)) from error
+        refusal = why_not(self.path.name, self._head)
+        if refusal is not None:
+            raise BadRecording(f"{self.path}: {refusal}")
+        self._file = file
+        if self._named(CARMEN_SUFFIXES):
+            self._carmen = self._carmen_log(file)
+        elif self._odometry:
+            raise BadRecording(
+                f"{self.path}: --odometry is for CARMEN logs, whose ODOM lines it reads; leave it out"
+            )
+
+    def _carmen_log(self, file: BinaryIO) -> CarmenLog:
+        log = partial(
+            CarmenLog, range_max=self._range_max, max_beams=self._max_beams, decimals=self._decimals
+        )
+        if not self._odometry:
+            return log()
+        try:
+            mount = mount_of_laser(self._lines(), log(mount=IDENTITY))
+        except BadSetting as error:
+            raise BadRecording(f"{self.path}: {error}") from error
+        file.seek(0)
+        return log(mount=mount)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            self._position = self._file.tell()
+            self._file.close()
+            self._file = None
+
+    def __iter__(self) -> Iterator[Recorded]:
+        parse: Parse
+        if self._carmen is not None:
+            parse = self._carmen.parse_line
+        else:
+            parse = partial(
+                jsonlines.parse_line,
+                range_max=self._range_max,
+                max_beams=self._max_beams,
+                decimals=self._decimals,
+            )
+        for recorded in read_lines(self._lines(), parse, self._complain):
+            renamed = self._rename(recorded)
+            if isinstance(recorded, RecordedScan):
+                self.scans += 1
+            else:
+                self.poses += 1
+            yield renamed
+        if not self.scans:
+            raise BadRecording(f"{self.path}: holds no scan{self._instead()}")
+
+    def _lines(self) -> Iterator[bytes]:
+        if self._file is None:
+            raise ValueError("a RecordingReader is read inside its `with`")
+        lines: IO[bytes] | gzip.GzipFile = self._file
+        if self._named((".gz",)):
+            lines = gzip.GzipFile(fileobj=self._file, mode="rb")
+        try:
+            for line in lines:  # noqa: UP028 (`yield from` would close the file along with this generator)
+                yield line
+        except EOFError as error:
+            raise BadRecording(f"{self.path}: truncated, its gzip stream ends too early") from error
+        except (gzip.BadGzipFile, zlib.error) as error:
+            raise BadRecording(f"{self.path}: not gzip, or corrupt ({error})") from error
+        except OSError as error:
+            raise BadRecording(_cannot(self.path, "read", error)) from error
+
+    def _named(self, suffixes: tuple[str, ...]) -> bool:
+        return self.path.name.lower().endswith(suffixes)
+
+    def _complain(self, number: int, reason: str) -> None:
+        self.malformed += 1
+        if len(self.complaints) < MAX_COMPLAINTS:
+            shown = reason if len(reason) <= _QUOTED else reason[:_QUOTED] + "..."
+            self.complaints.append(f"line {number}: {shown}")
+
+    def _rename(self, recorded: Recorded) -> Recorded:
+        if self._new_name is None:
+            return recorded
+        if self._old_name is None:
+            self._old_name = recorded.robot
+        if recorded.robot != self._old_name:
+            raise BadRecording(
+                f"{self.path}: holds robots {self._old_name} and {recorded.robot}; --robot renames one robot "
+                "only, so leave it out or split the log"
+            )
+        return replace(recorded, robot=self._new_name)
+
+    def _instead(self) -> str:
+        text = f", only {self.poses} poses" if self.poses else ""
+        if self.malformed:
+            text += f"; {self.malformed} lines are malformed, first {self.complaints[0]}"
+        if self._carmen is not None and self._carmen.unread:
+            text += f"; found are {_listed(self._carmen.unread)}; read are {' and '.join(LASERS_READ)}"
+        return text + hint(self.path.name, self._head)
+
+
+def write_jsonl(path: Path, messages: Iterable[Recorded]) -> None:
+    """Write a JSON lines log, gzipped if `path` ends in .gz; equal messages give equal files.
+
+    The file takes its name when it is complete: a failure on the way leaves what was there before.
+
+    Raises:
+        BadRecording: the name does not end in .jsonl or .jsonl.gz, or the file cannot be written.
+    """
+    if not path.name.lower().endswith(JSON_SUFFIXES):
+        raise BadRecording(f"{path}: recordings are written as {' or '.join(JSON_SUFFIXES)}")
+    if path.is_dir():
+        raise BadRecording(f"{path}: cannot be written (it is a folder)")
+    part = path.with_name(path.name + ".part")
+    try:
+        try:
+            with _written(part, packed=path.name.lower().endswith(".gz")) as file:
+                for recorded in messages:
+                    file.write(to_line(recorded).encode() + b"\n")
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadRecording(_cannot(path, "written", error)) from error
+
+
+@contextmanager
+def _written(path: Path, *, packed: bool) -> Iterator[IO[bytes] | gzip.GzipFile]:
+    with path.open("wb") as file:
+        if packed:
+            # No name and no time in the header: they would make equal recordings differ.
+            with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as stream:
+                yield stream
+        else:
+            yield file
+
+
+def _listed(counts: Counter[str]) -> str:
+    shown = [f"{count} {name}" for name, count in counts.most_common(_SHOWN)]
+    return ", ".join(shown) + (" and others" if len(counts) > _SHOWN else "")
+
+
+def _cannot(path: Path, what: str, error: OSError) -> str:
+    return f"{path}: cannot be {what} ({error.strerror or error})"

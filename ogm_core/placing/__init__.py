@@ -1,0 +1,1 @@
+"""Which pose belongs to which scan, in what order, and how often."""

@@ -1,0 +1,111 @@
+"""How well a finished map explains scans: agreement with those in it, prediction of those held out."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ogm_core.lattice import CellRect
+from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED, BeamModel, classify
+from ogm_core.sensor_models.bresenham import FRACTION_BITS, clipped_line, counted_from
+
+FREE, UNDECIDED, OCCUPIED = 1, 2, 3
+"""Beliefs about a cell; 0 is unknown."""
+FOUND_WALL, FOUND_NOTHING, FOUND_UNKNOWN = 0, 1, 2
+"""Where a cast ray ends."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def agreement(
+    beams: NDArray[np.int64], window: CellRect, beliefs: NDArray[np.uint8]
+) -> tuple[int, int, int, int]:
+    """Hit end cells in the map and those believed occupied; traversed cells and those believed free.
+
+    Traversed are the cells of Bresenham's line, whatever made the map, so that maps compare; a no return's
+    end cell is one of them. `beliefs`, [iy, ix], are those of the cells in `window`; others do not count.
+    Each beam counts its cells anew.
+    """
+    hits = occupied = passed = free = 0
+    for b in range(beams.shape[1]):
+        if beams[2, b] == SKIPPED:
+            continue
+        i0, j0, i1, j1 = counted_from(window, beams, b)
+        along_i, si, sj, major, bias, step, first, last = clipped_line(
+            i0, j0, i1, j1, window.width, window.height
+        )
+        for k in range(first, last + 1):
+            aside = (bias + k * step) >> FRACTION_BITS
+            i, j = (i0 + si * k, j0 + sj * aside) if along_i else (i0 + si * aside, j0 + sj * k)
+            if k == major and beams[2, b] == HIT:
+                hits += 1
+                occupied += beliefs[j, i] == OCCUPIED
+            else:
+                passed += 1
+                free += beliefs[j, i] == FREE
+    return hits, occupied, passed, free
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cast_ray(
+    u: float, v: float, bearing: float, longest: float, beliefs: NDArray[np.uint8]
+) -> tuple[int, float]:
+    """Follow a ray from (u, v) until it enters a cell that is not free; lengths in cells.
+
+    u, v are counted from the lower-left corner of `beliefs`, shape (h, w), [iy, ix]; what lies outside is
+    unknown. The cell that the ray starts in is not asked. Returns where the ray ends (FOUND_WALL,
+    FOUND_NOTHING within `longest`, FOUND_UNKNOWN for an unknown or undecided cell) and the distance at
+    which it enters that cell. Amanatides & Woo 1987.
+    """
+    height, width = beliefs.shape
+    du, dv = math.cos(bearing), math.sin(bearing)
+    i, j = math.floor(u), math.floor(v)
+    si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
+    next_u = (i + (si > 0) - u) / du if du != 0.0 else math.inf
+    next_v = (j + (sj > 0) - v) / dv if dv != 0.0 else math.inf
+    while True:
+        if next_u <= next_v:
+            distance = next_u
+            i += si
+            next_u = (i + (si > 0) - u) / du
+        else:
+            distance = next_v
+            j += sj
+            next_v = (j + (sj > 0) - v) / dv
+        if distance > longest:
+            return FOUND_NOTHING, longest
+        if not (0 <= i < width and 0 <= j < height) or beliefs[j, i] in (0, UNDECIDED):
+            return FOUND_UNKNOWN, distance
+        if beliefs[j, i] == OCCUPIED:
+            return FOUND_WALL, distance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict_ranges(
+    ranges: NDArray[np.float32],
+    beam: BeamModel,
+    sensor: NDArray[np.float64],
+    resolution: float,
+    shorter_than: float,
+    longest: float,
+    beliefs: NDArray[np.uint8],
+) -> NDArray[np.float64]:
+    """Cast every beam that is a hit shorter than `shorter_than` m up to `longest` m through a map.
+
+    `sensor` holds the sensor's poses (u, v, theta), u and v in cells from the lower-left corner of `beliefs`:
+    shape (1, 3), or (N, 3) with one a beam. Returns shape
+    (3, n): measured range in m, where the cast ray ends (see `cast_ray`), predicted range in m.
+    """
+    judged = np.empty((3, ranges.size))
+    n = 0
+    for k in range(ranges.size):
+        measured = float(ranges[k])
+        kind, _ = classify(measured, beam)
+        if kind in (SKIPPED, NO_RETURN) or measured >= shorter_than:
+            continue
+        p = k if len(sensor) > 1 else 0
+        bearing = sensor[p, 2] + (beam.angle_min + k * beam.angle_increment)
+        found, distance = cast_ray(sensor[p, 0], sensor[p, 1], bearing, longest / resolution, beliefs)
+        judged[0, n], judged[1, n], judged[2, n] = measured, found, distance * resolution
+        n += 1
+    return judged[:, :n].copy()

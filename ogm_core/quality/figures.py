@@ -1,0 +1,152 @@
+"""Quality figures of a map: entropy, areas, consistency with its scans, prediction of held-out scans."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE, row_bands
+from ogm_core.grid_settings import GridSettings
+from ogm_core.quality import agreement
+from ogm_core.sensor_models import beams
+from ogm_core.sensor_models.projection import beam_model, project, read_only, sensor_poses
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.types import PlacedScan
+
+JUDGED_SHORTER_THAN = 15.0
+CAST_UP_TO = 25.0
+DECIDED = 0.6
+"""A cell counts as a wall, or as free, if its log odds differ from the prior's by more than this."""
+
+
+def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
+    """Entropy over known cells, in bits and as a mean per cell, and areas by class in m2.
+
+    H = -sum(p log2 p + (1 - p) log2(1 - p)). Free and occupied are those of the trinary map.
+    """
+    values, counts = _known_probabilities(snapshot)
+    known = int(counts.sum())
+    entropy = float((counts * _entropy(values)).sum())
+    cell = snapshot.lattice.resolution**2
+    return {
+        "entropy_bits": entropy,
+        "mean_entropy_bits": entropy / known if known else None,
+        "known_m2": known * cell,
+        "free_m2": int(counts[values < FREE_BELOW].sum()) * cell,
+        "occupied_m2": int(counts[values > OCCUPIED_ABOVE].sum()) * cell,
+    }
+
+
+def quality_figures(snapshot: MapSnapshot, consistency: "Consistency", cell_updates: int) -> dict[str, Any]:
+    """Every figure of a map and the scans in it; `cell_updates` is how many updates its cells have had."""
+    return {
+        **map_figures(snapshot),
+        "consistency": consistency.figures(),
+        "scans": snapshot.revision,
+        "cell_updates": cell_updates,
+    }
+
+
+class Consistency:
+    """Share of hit end cells with p > 0.5, and of traversed cells with p < 0.5, in a finished map."""
+
+    def __init__(self, snapshot: MapSnapshot, settings: GridSettings) -> None:
+        self._settings = settings
+        self._snapshot = snapshot
+        self._beliefs = snapshot.model.encode(snapshot.cells, _side_of_half)
+        self._dropping = settings.lattice()[1] if settings.outside == "drop" else None
+        """The bounds, if beams that leave them are not in the map."""
+        self._counts = np.zeros(4, np.int64)
+
+    def add(self, placed: PlacedScan) -> None:
+        """Judge a scan that was integrated."""
+        cells = project(placed, self._snapshot.lattice, self._settings).cells
+        if self._dropping is not None:
+            beams.drop_outside(cells, *self._dropping)
+        self._counts += agreement.agreement(cells, self._snapshot.rect, self._beliefs)
+
+    def figures(self) -> dict[str, float | None]:
+        """The shares, None where nothing was judged."""
+        hits, occupied, passed, free = map(int, self._counts)
+        return {"hits": occupied / hits if hits else None, "free": free / passed if passed else None}
+
+
+def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[PlacedScan]) -> dict[str, Any]:
+    """How well the map predicts scans that are not in it.
+
+    Judged are their hits shorter than 15 m; each is cast up to 25 m through the map and ends where it enters
+    the first cell with l - l0 > 0.6, or in the unknown if a cell that is not clearly free comes first. Shares
+    are of all judged beams, the median error is of those that found a wall.
+    """
+    beliefs = _decided(snapshot)
+    parts = [_predict(snapshot, settings, beliefs, placed) for placed in scans]
+    measured, found, predicted = np.concatenate([np.empty((3, 0)), *parts], axis=1)
+    error = np.abs(predicted - measured)
+    walls = found == agreement.FOUND_WALL
+    judged = measured.size
+
+    def share(beams: NDArray[np.bool_]) -> float | None:
+        return float(np.count_nonzero(beams)) / judged if judged else None
+
+    return {
+        "beams": judged,
+        "median_abs_m": float(np.median(error[walls])) if walls.any() else None,
+        "within_0_1_m": share(walls & (error <= 0.1)),
+        "within_0_2_m": share(walls & (error <= 0.2)),
+        "into_unknown": share(found == agreement.FOUND_UNKNOWN),
+    }
+
+
+def _known_probabilities(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Every probability of the known cells once, and how many have it."""
+    if snapshot.model.dtype != np.int16:
+        cells = snapshot.cells
+        values, counts = np.unique(cells[snapshot.model.known(cells)], return_counts=True)
+        return snapshot.model.probability(values), counts
+    values = np.arange(2**16, dtype=np.uint16).view(np.int16)
+    if not isinstance(snapshot.stored, np.ndarray):
+        return snapshot.model.probability(values), snapshot.stored.value_counts()
+    counts = np.zeros(2**16, np.int64)
+    for band in row_bands(snapshot.stored):
+        counts += np.bincount(snapshot.stored[band].view(np.uint16).ravel(), minlength=2**16)
+    counts[0] = 0
+    return snapshot.model.probability(values), counts
+
+
+def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    q = 1.0 - p
+    # The limit of p log p is 0, where the logarithm has none.
+    return -(p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
+
+
+def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    sides = np.where(p > 0.5, agreement.OCCUPIED, np.where(p < 0.5, agreement.FREE, agreement.UNDECIDED))
+    return np.where(known, sides, 0).astype(np.uint8)
+
+
+def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
+    beliefs = np.full(snapshot.cells.shape, agreement.UNDECIDED, np.uint8)
+    for band in row_bands(beliefs):
+        evidence = snapshot.model.log_odds(snapshot.cells[band]) - snapshot.model.l0
+        beliefs[band][evidence > DECIDED] = agreement.OCCUPIED
+        beliefs[band][evidence < -DECIDED] = agreement.FREE
+    return beliefs
+
+
+def _predict(
+    snapshot: MapSnapshot, settings: GridSettings, beliefs: NDArray[np.uint8], placed: PlacedScan
+) -> NDArray[np.float64]:
+    resolution = snapshot.lattice.resolution
+    sensor = sensor_poses(placed).copy()
+    sensor[:, :2] = snapshot.lattice.in_cells(sensor[:, :2]) - snapshot.offset
+    judged: NDArray[np.float64] = agreement.predict_ranges(
+        read_only(placed.scan.ranges),
+        beam_model(placed.scan, settings),
+        sensor,
+        float(resolution),
+        JUDGED_SHORTER_THAN,
+        CAST_UP_TO,
+        beliefs,
+    )
+    return judged

@@ -1,0 +1,193 @@
+"""How well a map agrees with the true world, where that is known: a simulated one.
+
+A cell is truly occupied if the outline of an obstacle meets its closed square, so that a wall on the edge
+between two cells makes both occupied.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.log_odds import OCCUPIED_ABOVE, P_EDGE, row_bands
+from ogm_core.lattice import CellRect, Lattice
+from ogm_core.simulation.worlds import World
+from ogm_core.snapshot import MapSnapshot
+
+SLACK = 1e-9
+"""By how much a cell's square is widened on every side, cells: what rounding may move an outline by."""
+_KNOWN, _OCCUPIED = 1, 2
+_PIECE = 2**18
+"""Rows, or cells, of outlines that are worked on in one go: bounds the memory."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Runs = tuple[Ints, Ints, Ints]
+"""Cells side by side: their row, first column and last column; none if the last is below the first."""
+
+
+def truth_figures(snapshot: MapSnapshot, world: World) -> dict[str, float | None]:
+    """How well a map agrees with the true world, cell by cell; None where there is nothing to judge.
+
+    The snapshot is one that was not shrunk.
+
+    - accuracy: share of the known cells with p > 0.5 where truly occupied, and not where not.
+    - precision: share of the map's occupied cells (p > 0.65) that lie within one cell (in x and in y) of a
+      truly occupied one.
+    - recall: share of the truly occupied cells that lie within one cell of an occupied one. Judged are those
+      with a known cell within one cell of them: the others were never looked at.
+    - iou: TP / (TP + FP + FN); TP and FP are the map's occupied cells that precision finds right and wrong,
+      FN the truly occupied cells that recall finds missed.
+    - log_loss: mean over the known cells of -ln p(true class), p clipped to [1e-9, 1 - 1e-9].
+
+    Truly occupied cells are also those beside the map's rectangle, so its cut changes nothing.
+    """
+    ix, iy, width, height = snapshot.rect
+    truth = occupied_cells(world, snapshot.lattice, CellRect(ix - 1, iy - 1, width + 2, height + 2))
+    known, right, loss = _agreement(snapshot, truth[1:-1, 1:-1])
+    occupied, found, looked_at, seen = _matches(snapshot, truth)
+    missed = looked_at - seen
+    return {
+        "accuracy": _share(right, known),
+        "precision": _share(found, occupied),
+        "recall": _share(seen, looked_at),
+        "iou": _share(found, occupied + missed),
+        "log_loss": _share(loss, known),
+    }
+
+
+def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
+    """Which cells of `rect` an obstacle's outline meets: bool, [iy, ix].
+
+    A cell is its closed square, widened by 1e-9 cells on every side against rounding.
+    """
+    occupied = np.zeros((rect.height, rect.width), np.bool_)
+    corner = np.array([rect.ix, rect.iy])
+    ends = lattice.in_cells(world.segments.reshape(-1, 2, 2)) - corner
+    centres = lattice.in_cells(world.circles[:, :2]) - corner
+    for runs in _segment_runs(ends, rect):
+        _mark(occupied, runs)
+    for runs in _circle_runs(centres, world.circles[:, 2] / lattice.resolution, rect):
+        _mark(occupied, runs)
+    return occupied
+
+
+def _agreement(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, float]:
+    """Known cells, how many of them are on the true side of one half, and their summed log loss."""
+    known, right, loss = 0, 0, 0.0
+    encode = snapshot.model.encode
+    for band in row_bands(snapshot.cells):
+        cells, true = snapshot.cells[band], truth[band]
+        judged = snapshot.model.known(cells)
+        known += int(np.count_nonzero(judged))
+        right += int(np.count_nonzero(judged & (encode(cells, _above_half) == true)))
+        losses = np.where(true, encode(cells, _loss_if_occupied), encode(cells, _loss_if_free))
+        loss += float(losses.sum(where=judged))
+    return known, right, loss
+
+
+def _matches(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, int, int]:
+    """The map's occupied cells and how many are near a true one; the true cells looked at, and those seen.
+
+    `truth` reaches one cell beyond the map on every side.
+    """
+    beliefs = np.pad(snapshot.model.encode(snapshot.cells, _belief), 2)
+    occupied = found = looked_at = seen = 0
+    for band in row_bands(truth):
+        around = slice(band.start, band.stop + 2)
+        near = _gathered(beliefs[around])[truth[band]]
+        looked_at += int(np.count_nonzero(near))
+        seen += int(np.count_nonzero(near & _OCCUPIED))
+    for band in row_bands(snapshot.cells):
+        near_truth = _gathered(truth[band.start : band.stop + 2])
+        mine = beliefs[2:-2, 2:-2][band] & _OCCUPIED != 0
+        occupied += int(np.count_nonzero(mine))
+        found += int(np.count_nonzero(mine & near_truth))
+    return occupied, found, looked_at, seen
+
+
+def _gathered(codes: NDArray[Any]) -> NDArray[Any]:
+    """The bits of the 3 x 3 cells around every cell but those at the edges."""
+    columns = codes[:, :-2] | codes[:, 1:-1] | codes[:, 2:]
+    gathered: NDArray[Any] = columns[:-2] | columns[1:-1] | columns[2:]
+    return gathered
+
+
+def _share(part: float, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _above_half(p: Floats, _: Bools) -> Bools:
+    return p > 0.5
+
+
+def _belief(p: Floats, known: Bools) -> NDArray[np.uint8]:
+    return np.where(known, np.where(p > OCCUPIED_ABOVE, _KNOWN | _OCCUPIED, _KNOWN), 0).astype(np.uint8)
+
+
+def _loss_if_occupied(p: Floats, _: Bools) -> Floats:
+    return -np.log(np.clip(p, P_EDGE, 1.0 - P_EDGE))
+
+
+def _loss_if_free(p: Floats, _: Bools) -> Floats:
+    return -np.log1p(-np.clip(p, P_EDGE, 1.0 - P_EDGE))
+
+
+def _segment_runs(ends: Floats, rect: CellRect) -> Iterator[Runs]:
+    """What segments meet; `ends` are in cells from the corner of `rect`, shape (n, 2, 2)."""
+    (u1, v1), (u2, v2) = ends[:, 0].T, ends[:, 1].T
+    for k, row in _counted(*_met(np.minimum(v1, v2), np.maximum(v1, v2), rect.height)):
+        climb = v2[k] - v1[k]
+        # Where it crosses the lower and the upper edge of the row: shares of its length.
+        with np.errstate(over="ignore"):
+            lower = np.divide(row - SLACK - v1[k], climb, out=np.zeros(row.shape), where=climb != 0.0)
+            upper = np.divide(row + 1 + SLACK - v1[k], climb, out=np.ones(row.shape), where=climb != 0.0)
+        span = u2[k] - u1[k]
+        one, other = (u1[k] + np.clip(share, 0.0, 1.0) * span for share in (lower, upper))
+        yield row, *_met(np.minimum(one, other), np.maximum(one, other), rect.width)
+
+
+def _circle_runs(centres: Floats, radii: Floats, rect: CellRect) -> Iterator[Runs]:
+    """What circles meet: the cells that have a point no farther than the radius, and one no nearer."""
+    u, v = centres.T
+    for k, row in _counted(*_met(v - radii, v + radii, rect.height)):
+        lower, upper = row - SLACK - v[k], row + 1 + SLACK - v[k]
+        nearest = np.maximum(0.0, np.maximum(lower, -upper))
+        outer = _half_chord(radii[k], nearest)
+        inner = _half_chord(radii[k], np.maximum(-lower, upper))
+        # From left to right the row's cells are outside, on the circle, inside, on it again, outside.
+        first, last = _met(u[k] - outer, u[k] + outer, rect.width)
+        yield row, first, np.minimum(last, _met(u[k] - outer, u[k] - inner, rect.width)[1])
+        yield row, np.maximum(first, _met(u[k] + inner, u[k] + outer, rect.width)[0]), last
+
+
+def _half_chord(radius: Floats, distance: Floats) -> Floats:
+    """Half the length of the chord at this distance from the centre, 0 if there is none."""
+    return np.sqrt(np.maximum(0.0, (radius - distance) * (radius + distance)))
+
+
+def _met(low: Floats, high: Floats, count: int) -> tuple[Ints, Ints]:
+    """First and last of `count` widened cells in a row that meet [low, high]; last < first if none does."""
+    first = np.clip(np.ceil(low - 1.0 - SLACK), 0, count)
+    last = np.clip(np.floor(high + SLACK), -1, count - 1)
+    return first.astype(np.int64), last.astype(np.int64)
+
+
+def _counted(first: Ints, last: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """Every k with every whole number from first[k] to last[k], as two arrays, in pieces."""
+    ends = np.cumsum(np.maximum(last - first + 1, 0), dtype=np.int64)
+    total = int(ends[-1]) if ends.size else 0
+    for start in range(0, total, _PIECE):
+        stop = min(start + _PIECE, total)
+        begin, end = np.searchsorted(ends, (start, stop - 1), side="right")
+        reached = np.minimum(ends[begin : end + 1], stop)
+        k = np.repeat(np.arange(begin, end + 1), reached - np.append(start, reached[:-1]))
+        yield k, last[k] + 1 - ends[k] + np.arange(start, stop)
+
+
+def _mark(occupied: Bools, runs: Runs) -> None:
+    rows, first, last = runs
+    for k, column in _counted(first, last):
+        occupied[rows[k], column] = True

@@ -1,0 +1,1 @@
+"""What a scan says about which cells."""

@@ -1,0 +1,161 @@
+"""Cells of one class side by side in a row, and what the kernels do with them.
+
+Spans are int32, shape (n, 4): row, first column, column after the last, class; no cell is in two of them.
+`window` and `update` are the contents of a CellRect and an Update.
+
+Cells are addressed as in tiles.store: in a strip the 64 cells of a row are a block of memory. An int16
+block is always updated whole, a few instructions for 64 cells, and a mask keeps what lies outside the span:
+
+    column     0 . . . . first . . . . last . . . . 63
+    begun      0 0 0 0 0 1 1 1 1 1 1 1 1  1 1 1 1 1 1        64 zeros, 64 ones, read from 64 - first on
+    not ended  1 1 1 1 1 1 1 1 1 1 1 1 1  0 0 0 0 0 0        64 ones, 64 zeros, read from 63 - last on
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ogm_core.cells.log_odds import Update
+from ogm_core.cells.updates import add_free, add_occupied
+from ogm_core.lattice import CellRect
+from ogm_core.sensor_models.beams import Plain
+from ogm_core.tiles.marks import touch
+from ogm_core.tiles.store import TILE, TILE_BITS
+
+FREE, OCCUPIED = 1, 2
+"""Classes of a span."""
+
+
+@njit(cache=True, error_model="numpy")
+def extent(spans: NDArray[np.int32]) -> tuple[int, int, int, int]:
+    """Smallest rectangle (ix, iy, width, height) that holds every span; width is 0 if there is none."""
+    if spans.shape[0] == 0:
+        return 0, 0, 0, 0
+    numbers = spans.ravel()  # with unsigned places: half the time
+    bottom, left, right = numbers[0], numbers[1], numbers[2]
+    top = bottom
+    for n in range(np.uint64(0), np.uint64(numbers.size), np.uint64(4)):
+        bottom, top = min(bottom, numbers[n]), max(top, numbers[n])
+        left = min(left, numbers[n + np.uint64(1)])
+        right = max(right, numbers[n + np.uint64(2)])
+    return left, bottom, right - left, top - bottom + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _clipped(spans: NDArray[np.int32], n: int, window: CellRect) -> tuple[int, int, int]:
+    """Row, first column and the one after the last of a span inside the window, counted from its corner.
+
+    A span with nothing inside ends where it begins.
+    """
+    j = spans[n, 0] - window.iy
+    first, end = max(spans[n, 1] - window.ix, 0), min(spans[n, 2] - window.ix, window.width)
+    return (j, first, end) if first < end and 0 <= j < window.height else (0, 0, 0)
+
+
+@njit(cache=True, error_model="numpy")
+def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int64], revision: int) -> int:
+    """Write `revision` into every tile with a cell of a span, and return how many held 0 before.
+
+    Only cells in `window` count; `touched`, shape (tiles in x, tiles in y), begins in its corner. Spans that
+    follow each other mostly meet the same tiles.
+    """
+    window = CellRect(*window)
+    fresh = 0
+    marked, from_left, to_right = -1, 0, 0
+    for n in range(spans.shape[0]):
+        j, first, end = _clipped(spans, n, window)
+        row, left, right = j >> TILE_BITS, first >> TILE_BITS, (end - 1) >> TILE_BITS
+        if first == end or (row == marked and from_left <= left and right <= to_right):
+            continue
+        marked, from_left, to_right = row, left, right
+        for tx in range(left, right + 1):
+            fresh += touch(touched, tx << TILE_BITS, j, revision)
+    return fresh
+
+
+def update_cells(
+    spans: NDArray[np.int32],
+    window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
+    cells: NDArray[Any],
+    column: NDArray[np.int64],
+    update: Plain,
+) -> tuple[int, int]:
+    """Add the evidence of the spans to their cells, and write `revision` into their tiles.
+
+    Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
+    the store of `cells` and `touched` begins in its corner.
+    """
+    kernel = update_blocks if cells.dtype == np.int16 else update_one_by_one
+    updates, fresh = kernel(spans, window, touched, revision, cells, column, update)
+    return updates, fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update_one_by_one(
+    spans: NDArray[np.int32],
+    window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
+    cells: NDArray[Any],
+    column: NDArray[np.int64],
+    update: Plain,
+) -> tuple[int, int]:
+    """`update_cells` for any type of cells."""
+    fresh = touch_tiles(spans, window, touched, revision)
+    window, update = CellRect(*window), Update(*update)
+    updates = 0
+    for n in range(spans.shape[0]):
+        j, first, end = _clipped(spans, n, window)
+        updates += end - first
+        for i in range(first, end):
+            address = np.uint64(column[i] + (j << TILE_BITS))
+            if spans[n, 3] == FREE:
+                cells[address] = add_free(cells[address], update)
+            else:
+                cells[address] = add_occupied(cells[address], update)
+    return updates, fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update_blocks(
+    spans: NDArray[np.int32],
+    window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
+    cells: NDArray[np.int16],
+    column: NDArray[np.int64],
+    update: Plain,
+) -> tuple[int, int]:
+    """`update_cells` for int16: what cells.updates does to one cell, done to 64 at once."""
+    fresh = touch_tiles(spans, window, touched, revision)
+    window, update = CellRect(*window), Update(*update)
+    floor, less = np.int16(update.lower - update.free), np.int16(update.free)
+    ceiling, more = np.int16(update.upper - update.occupied), np.int16(update.occupied)
+    inside = np.full((2, 2 * TILE), -1, np.int16)
+    inside[0, :TILE] = 0
+    inside[1, TILE:] = 0
+    updates = 0
+    for n in range(spans.shape[0]):
+        j, first, end = _clipped(spans, n, window)
+        updates += end - first
+        while first < end:
+            last = min(end - 1, first | (TILE - 1))
+            block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - (first & (TILE - 1)))
+            left, right = np.uint64(TILE - (first & (TILE - 1))), np.uint64(TILE - 1 - (last & (TILE - 1)))
+            if spans[n, 3] != FREE:
+                for q in range(np.uint64(TILE)):
+                    cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
+                    cells[block + q] = cell ^ ((((min(cell, ceiling) + more) | 1) ^ cell) & mask)
+            elif last - first == TILE - 1:
+                for q in range(np.uint64(TILE)):
+                    cells[block + q] = max(cells[block + q], floor) + less
+            else:
+                for q in range(np.uint64(TILE)):
+                    cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
+                    cells[block + q] = cell + ((max(cell, floor) - cell + less) & mask)
+            first = last + 1
+    return updates, fresh

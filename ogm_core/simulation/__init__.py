@@ -1,0 +1,1 @@
+"""Worlds, robots that drive through them, and what their LiDARs see."""

@@ -1,0 +1,62 @@
+"""A ROS map as a simulated world: its occupied cells stand in it, its free cells are driven through."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.errors import BadWorld
+from ogm_core.files.ros_map_reader import RosMap
+from ogm_core.lattice import Lattice
+from ogm_core.simulation.patrol import cells_of_block, patrol
+from ogm_core.simulation.worlds import MAX_COORDINATE, World
+
+MAX_CELLS = 25_000_000
+MAX_BLOCKS = 1_000_000
+"""In a map of more cells, or more of the blocks that a way is planned in, planning takes too long."""
+
+
+def world_of_map(ros_map: RosMap, name: str) -> World:
+    """The world whose obstacles are the outlines of the map's occupied cells, with a tour of its free space.
+
+    Raises:
+        BadWorld: there is nothing to see or no room to drive, or the map is too large.
+    """
+    height, width = ros_map.occupancy.shape
+    limit = min(MAX_CELLS, MAX_BLOCKS * cells_of_block(ros_map.resolution) ** 2)
+    if width * height > limit:
+        raise BadWorld(
+            f"{width} x {height} cells are more than the {limit} that can be simulated: cut the map"
+        )
+    corners = (*ros_map.origin, *ros_map.lattice.corner_of(width, height))
+    if max(map(abs, corners)) > MAX_COORDINATE:
+        raise BadWorld(f"the map reaches farther than {MAX_COORDINATE:g} m from (0, 0): move its origin")
+    segments = outlines(ros_map.occupied, ros_map.lattice)
+    if not len(segments):
+        raise BadWorld("the map has no occupied cell: there is nothing for a LiDAR to see")
+    return World(name, np.empty((0, 3)), segments, patrol(ros_map.free, ros_map.lattice))
+
+
+def outlines(occupied: NDArray[np.bool_], lattice: Lattice) -> NDArray[np.float64]:
+    """Segments [x1, y1, x2, y2], shape (n, 4), m: every border of an occupied cell with one that is not.
+
+    Borders in a row are one segment; those that meet at a corner share it bit for bit. What surrounds the
+    map is not occupied. Read-only.
+    """
+    height, width = occupied.shape
+    padded = np.pad(occupied, 1)
+    x = np.array([lattice.corner_of(ix, 0)[0] for ix in range(width + 1)])
+    y = np.array([lattice.corner_of(0, iy)[1] for iy in range(height + 1)])
+    rows, left, right = _runs(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    columns, bottom, top = _runs((padded[1:-1, 1:] != padded[1:-1, :-1]).T)
+    horizontal = np.stack((x[left], y[rows], x[right], y[rows]), axis=1)
+    vertical = np.stack((x[columns], y[bottom], x[columns], y[top]), axis=1)
+    segments = np.concatenate((horizontal, vertical))
+    segments.setflags(write=False)
+    return segments
+
+
+def _runs(marked: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Runs of marked items along the rows: each one's row, first column, and the column after its last."""
+    padded = np.pad(marked, ((0, 0), (1, 1)))
+    rows, first = np.nonzero(padded[:, 1:] & ~padded[:, :-1])
+    _, after = np.nonzero(padded[:, :-1] & ~padded[:, 1:])
+    return rows, first, after

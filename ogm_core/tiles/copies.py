@@ -1,0 +1,140 @@
+"""Copies of a map's tiles that nobody changes any more: each new one copies only what has changed.
+
+    copy of revision 7    copy of revision 8    A copy is a table of tiles, each with a number, and the blocks
+    +---+---+---+         +---+---+---+         in which tiles of successive numbers lie. The next copy has a
+    | 1 | 2 | 3 |         | 1 | 5 | 6 |         block more, of the tiles that were written since, and shares
+    +---+---+---+         +---+---+---+         the others. Equal numbers are equal cells, and 0 is a tile
+    | 0 | 4 | 0 |         | 0 | 4 | 0 |         that was never written.
+    +---+---+---+         +---+---+---+
+
+A block of which less than half is still in use is given up, and what is left of it copied with the rest: so
+all blocks of a copy take twice the tiles' memory at most.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.lattice import CellRect
+from ogm_core.tiles.store import TILE, StripStore
+
+
+class Block(NamedTuple):
+    """Tiles with the numbers `first`, `first` + 1 and so on: stored cells, shape (n, 4096), row after row."""
+
+    first: int
+    tiles: NDArray[Any]
+    used: int
+    """How many of them are in the copy's table."""
+
+    @property
+    def end(self) -> int:
+        """The number after its last tile's."""
+        return self.first + len(self.tiles)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileCopies:
+    """Every tile of a store as it was at one revision."""
+
+    rect: CellRect
+    """The cells under `numbers`."""
+    numbers: NDArray[np.int64]
+    """Shape (tiles in x, tiles in y), from the lower-left one."""
+    blocks: tuple[Block, ...]
+    """In order of their tiles' numbers."""
+    revision: int
+    next_number: int
+
+    def placed(self, rect: CellRect) -> NDArray[np.int64]:
+        """`numbers` of the tiles of `rect`, which holds this one's; those of the others are 0."""
+        return placed(self.numbers, self.rect, rect)
+
+    def find(
+        self, numbers: NDArray[np.int64]
+    ) -> list[tuple[NDArray[Any], NDArray[np.intp], NDArray[np.int64]]]:
+        """Where tiles of these numbers, none of them 0, lie.
+
+        For each block: its tiles, which of `numbers` are there, and in which of its rows.
+        """
+        of_block = np.searchsorted([block.first for block in self.blocks], numbers, "right") - 1
+        found = []
+        for index in np.unique(of_block).tolist():
+            here = np.flatnonzero(of_block == index)
+            block = self.blocks[index]
+            found.append((block.tiles, here, numbers[here] - block.first))
+        return found
+
+
+def room_for(store: StripStore, before: TileCopies | None) -> NDArray[Any]:
+    """Memory for the tiles that `copy_tiles` would copy now, and some more, shape (n, 4096).
+
+    It is there when it returns: copying into new memory takes many times longer than copying. Another thread
+    may write the store meanwhile, since the number is a guess.
+    """
+    stale = int(np.count_nonzero(_to_copy(store, before)[2]))
+    return np.full((stale + stale // 8 + 16, TILE * TILE), 0, store.cells.dtype)
+
+
+def copy_tiles(
+    store: StripStore, revision: int, before: TileCopies | None = None, room: NDArray[Any] | None = None
+) -> TileCopies:
+    """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
+
+    `before` must be of the same store, or of one that it was grown from. The copies go into `room`, if that
+    is large enough.
+    """
+    numbers, blocks, stale = _to_copy(store, before)
+    first = 1 if before is None else before.next_number
+    which = np.flatnonzero(stale)
+    if room is None or len(room) < len(which) or room.dtype != store.cells.dtype:
+        room = np.empty((len(which), TILE * TILE), store.cells.dtype)
+    tiles = room[: len(which)]
+    np.take(store.cells.reshape(-1, TILE * TILE), which, axis=0, out=tiles, mode="clip")
+    numbers.reshape(-1)[which] = np.arange(first, first + len(which))
+    if len(which):
+        blocks = (*blocks, Block(first, tiles, len(which)))
+    for part in (numbers, tiles):
+        part.flags.writeable = False
+    return TileCopies(store.rect, numbers, blocks, revision, first + len(which))
+
+
+def _to_copy(
+    store: StripStore, before: TileCopies | None
+) -> tuple[NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
+    """Numbers of a store's tiles in the copy `before`, its blocks that are kept, and which tiles to copy."""
+    if before is None:
+        nowhere = CellRect(store.rect.ix, store.rect.iy, 0, 0)
+        before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1)
+    numbers = before.placed(store.rect)
+    # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
+    # written since revision 0, however often they are copied.
+    stale = store.touched > before.revision
+    return numbers, _kept(before.blocks, numbers, stale), stale
+
+
+def _kept(
+    blocks: tuple[Block, ...], numbers: NDArray[np.int64], stale: NDArray[np.bool_]
+) -> tuple[Block, ...]:
+    """Blocks that are half in use or more once tiles are `stale`; the rest of others becomes stale too."""
+    gone = numbers[stale]
+    of_block = np.searchsorted([block.first for block in blocks], gone[gone > 0], "right") - 1
+    lost = np.bincount(of_block, minlength=len(blocks))
+    kept = []
+    for block, loss in zip(blocks, lost.tolist(), strict=True):
+        used = block.used - loss
+        if 2 * used >= len(block.tiles):
+            kept.append(block._replace(used=used))
+        elif used:
+            stale |= (numbers >= block.first) & (numbers < block.end)
+    return tuple(kept)
+
+
+def placed(table: NDArray[Any], rect: CellRect, wider: CellRect) -> NDArray[Any]:
+    """A table of the tiles of `rect`, with zeros for those that `wider`, a rectangle of tiles, adds."""
+    whole = np.zeros((wider.width // TILE, wider.height // TILE), table.dtype)
+    tx, ty = (rect.ix - wider.ix) // TILE, (rect.iy - wider.iy) // TILE
+    whole[tx : tx + table.shape[0], ty : ty + table.shape[1]] = table
+    return whole

@@ -1,0 +1,28 @@
+"""Which tiles a scan writes: each keeps the revision of the last one.
+
+`touched`, int64, shape (tiles in x, tiles in y), is that of store.StripStore; 0 stands for never.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ogm_core.tiles.store import TILE_BITS
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def touch(touched: NDArray[np.int64], i: int, j: int, revision: int) -> int:
+    """Write `revision` into the tile of cell (i, j); return 1 if it held 0, else 0."""
+    tile = np.uint64(i >> TILE_BITS), np.uint64(j >> TILE_BITS)
+    fresh = int(touched[tile] == 0)
+    touched[tile] = revision
+    return fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def touch_rows(touched: NDArray[np.int64], i: int, j: int, end: int, revision: int) -> int:
+    """Write `revision` into all tiles from cell (i, j) to (i, end); return how many held 0."""
+    fresh = 0
+    for row in range(min(j, end) >> TILE_BITS, (max(j, end) >> TILE_BITS) + 1):
+        fresh += touch(touched, i, row << TILE_BITS, revision)
+    return fresh

@@ -1,0 +1,1 @@
+"""What robots and mappers send each other: keys and messages."""

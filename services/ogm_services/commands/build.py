@@ -1,0 +1,236 @@
+"""`ogm build`: a map of a recorded log, without network.
+
+The log goes through the same Mapper as live messages do, in file order. Then the scans that made the map are
+held against it, to judge how well it agrees with them: from memory, or in a second pass over a log that is
+too large for that.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from ogm_core.errors import MapEmpty
+from ogm_core.grid import OccupancyGrid
+from ogm_core.logs.decimals import read_decimals
+from ogm_core.logs.recordings import RecordedScan, RecordingReader
+from ogm_core.quality.figures import Consistency, held_out, quality_figures
+from ogm_core.quality.truth import truth_figures
+from ogm_core.simulation.worlds import World, world_named
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.mapper import Mapper, ScanSink
+from ogm_services.results.driven_paths import Trail
+from ogm_services.results.figure_file import check_figure, format_of, write_figure
+from ogm_services.results.map_folder import write_map
+from ogm_services.runtime.progress import progress_bar
+from ogm_services.settings.settings import Settings
+
+MAX_KEPT = 256 * 1024**2
+"""Bytes of scans that are kept to be judged; a log with more of them is read again."""
+_SCAN_BYTES = 1000
+"""What a scan takes beside its arrays, about."""
+
+
+def run_build(
+    log: Path,
+    out: Path,
+    settings: Settings,
+    *,
+    range_max: float | None,
+    robot: str | None,
+    odometry: bool = False,
+    hold_out: int | None,
+    world: str | None = None,
+    figure: Path | None = None,
+) -> None:
+    """Map a log and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
+
+    `hold_out` N keeps scan i of the file out of the map if i % N == N // 2, and judges the map by it.
+    `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
+
+    Raises:
+        BadInput: the world is none, or the figure cannot be drawn or written; nothing is written.
+        BadRecording: the log cannot be read or holds no scan; nothing is written.
+        MapEmpty: no scan changed the map; nothing is written.
+    """
+    max_beams = settings.mapper.max_beams
+    true_world = None if world is None else world_named(world)
+    if figure is not None:
+        check_figure(figure, out)
+
+    def reader() -> RecordingReader:
+        return RecordingReader(
+            log,
+            range_max=range_max,
+            robot=robot,
+            odometry=odometry,
+            max_beams=max_beams,
+            decimals=read_decimals,
+        )
+
+    grid = OccupancyGrid(settings.grid_settings())
+    first = _MapPass(grid)
+    ledger = Ledger()
+    with reader() as messages:
+        _feed(messages, first, ledger, hold_out, "mapping")
+    snapshot = grid.snapshot()
+    report = _report(messages, ledger, first)
+    if snapshot.empty or not grid.cell_updates:
+        raise MapEmpty(f"{log}: no scan changed the map ({report})")
+    quality = _judged(reader, snapshot, first, hold_out)
+    if true_world is not None:
+        quality["truth"] = truth_figures(snapshot, true_world)
+        report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
+    drawn = None if figure is None else _drawn(figure, log, snapshot, true_world, first)
+    write_map(out, snapshot, quality)
+    if figure is not None and drawn is not None:
+        write_figure(figure, drawn)
+    typer.echo(f"{out}: {report}")
+
+
+class _Pass(ScanSink):
+    """What both passes over a log need: which scans stay out of the map, and whose message is being read."""
+
+    withheld: set[Scan]
+    robot: str
+
+
+class _Kept:
+    """The scans that the map took, in order, as long as there is room for them."""
+
+    def __init__(self) -> None:
+        self.scans: list[PlacedScan] | None = []
+        """None once there was no room: not one of them is kept then."""
+        self._size = 0
+
+    def add(self, placed: PlacedScan) -> None:
+        """Keep a scan, or none at all."""
+        if self.scans is None:
+            return
+        sweep = 0 if placed.sweep is None else placed.sweep.beams.nbytes
+        self._size += _SCAN_BYTES + placed.scan.ranges.nbytes + sweep
+        if self._size <= MAX_KEPT:
+            self.scans.append(placed)
+        else:
+            self.scans = None
+
+
+@dataclass
+class _MapPass(_Pass):
+    """First pass: scans go into the map, or aside if they are held out."""
+
+    grid: OccupancyGrid
+    withheld: set[Scan] = field(default_factory=set)
+    held: list[PlacedScan] = field(default_factory=list)
+    accepted: list[bool] = field(default_factory=list)
+    """Of every scan that was placed and not held out, in order: whether the map took it."""
+    kept: _Kept = field(default_factory=_Kept)
+    robot: str = ""
+    trails: dict[str, Trail] = field(default_factory=dict)
+
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+        """Put a scan into the map, or aside."""
+        if scan in self.withheld:
+            self.withheld.remove(scan)
+            self.held.append(PlacedScan(scan, pose, sweep))
+            return 0
+        self.accepted.append(False)
+        updates = self.grid.integrate(scan, pose, sweep)
+        self.accepted[-1] = True
+        self.kept.add(PlacedScan(scan, pose, sweep))
+        self.trails.setdefault(self.robot, Trail()).add(scan, pose)
+        return updates
+
+
+@dataclass
+class _JudgePass(_Pass):
+    """Second pass: the scans that are in the map are held against it."""
+
+    consistency: Consistency
+    accepted: Iterator[bool]
+    withheld: set[Scan] = field(default_factory=set)
+    robot: str = ""
+
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+        """Judge a scan, if the map took it."""
+        if scan in self.withheld:
+            self.withheld.remove(scan)
+        elif next(self.accepted):
+            self.consistency.add(PlacedScan(scan, pose, sweep))
+        return 0
+
+
+def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int | None, text: str) -> None:
+    """Send a log through a mapper, up to and including what waits for poses at its end."""
+    mapper = Mapper(sink, ledger)
+    index = 0
+    with progress_bar(text, messages.size) as show:
+        for message in messages:
+            # A message makes scans of its own robot ready, and of no other.
+            sink.robot = message.robot
+            if isinstance(message, RecordedScan):
+                if hold_out is not None and index % hold_out == hold_out // 2:
+                    sink.withheld.add(message.message)
+                index += 1
+                ledger.scan_received(message.robot, message.sensor)
+                mapper.add_scan(message.robot, message.sensor, message.message)
+                show(messages.position)
+            else:
+                ledger.pose_received(message.robot)
+                mapper.add_pose(message.robot, message.message)
+    mapper.finish()
+
+
+def _judged(
+    reader: Callable[[], RecordingReader], snapshot: MapSnapshot, first: _MapPass, hold_out: int | None
+) -> dict[str, Any]:
+    """The figures of a finished map."""
+    grid = first.grid
+    consistency = Consistency(snapshot, grid.settings)
+    if first.kept.scans is None:
+        with reader() as messages:
+            _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+    else:
+        with progress_bar("judging", len(first.kept.scans)) as show:
+            for done, placed in enumerate(first.kept.scans, 1):
+                consistency.add(placed)
+                show(done)
+    quality = quality_figures(snapshot, consistency, grid.cell_updates)
+    if hold_out is not None:
+        quality["held_out"] = held_out(snapshot, grid.settings, first.held)
+    return quality
+
+
+def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
+    books = ledger.status()
+    parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
+    if first.held:
+        parts.append(f"{len(first.held)} held out")
+    parts += [f"{count} dropped: {reason}" for reason, count in books["scans"]["dropped"].items() if count]
+    if books["poses"]["late"]:
+        parts.append(f"{books['poses']['late']} poses late")
+    if messages.malformed:
+        parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
+    if messages.not_read:
+        parts.append(f"not read: {messages.not_read}")
+    return ", ".join(parts)
+
+
+def _truth_report(world: World, figures: dict[str, float | None]) -> str:
+    shares = (
+        f"{name.replace('_', ' ')} {'none' if value is None else format(value, '.3f')}"
+        for name, value in figures.items()
+    )
+    return f"against the true world {world.name}: {', '.join(shares)}"
+
+
+def _drawn(file: Path, log: Path, snapshot: MapSnapshot, world: World | None, first: _MapPass) -> bytes:
+    # Here, because it loads matplotlib, which need not be there.
+    from ogm_services.results.figure import describe, draw_map, encode_figure
+
+    figure = draw_map(snapshot, log.name, describe(snapshot, first.grid.settings), world, first.trails)
+    return encode_figure(figure, format_of(file))

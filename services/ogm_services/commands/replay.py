@@ -1,0 +1,233 @@
+"""`ogm replay`: a recorded log, published as its robots did, and followed until the mapper has handled it."""
+
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import typer
+import zenoh
+
+from ogm_client.map_client import MapClient
+from ogm_client.robot import RobotPublisher
+from ogm_client.session import open_session
+from ogm_core.errors import OgmError
+from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
+from ogm_core.wire.keys import Source
+from ogm_services.runtime.progress import progress_bar
+from ogm_services.settings.settings import NetworkSettings
+
+MAX_AHEAD = 64
+"""Scans of one source that may be sent beyond the last that the mapper has taken."""
+ASK_FROM = MAX_AHEAD // 2
+"""From so many on the mapper is asked how far it is, so that the way never runs dry."""
+LONGEST_PAUSE = 10.0
+"""Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
+PATIENCE = 10.0
+"""How long the mapper may take no further scan of ours, s."""
+PATIENCE_WITH_POSES = 600.0
+"""How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
+POLL = 0.002
+
+_FATAL = ("malformed", "overload")
+
+
+class ReplayFailed(OgmError):
+    """Scans of the log were lost, or the mapper stopped taking them."""
+
+    slug = "replay-failed"
+
+
+@dataclass
+class _Sent:
+    """What was sent of one source's scans."""
+
+    total: int = 0
+    ahead: deque[tuple[str, int]] = field(default_factory=deque)
+    """(run, seq) of the scans that the mapper has not taken yet, as far as known."""
+
+    def taken(self, run: str, seq: int) -> None:
+        """Forget everything up to a scan that the mapper says it has taken."""
+        if (run, seq) in self.ahead:
+            while self.ahead.popleft() != (run, seq):
+                pass
+
+
+def run_replay(
+    log: Path,
+    network: NetworkSettings,
+    *,
+    speed: float | None,
+    range_max: float | None,
+    robot: str | None,
+    odometry: bool = False,
+) -> None:
+    """Publish a log in file order, at `speed` times its own pace (None: as fast as the mapper takes it).
+
+    Raises:
+        BadRecording: the log cannot be read, or holds no scan; nothing is sent.
+        CannotConnect, NobodyAnswered: no mapper is there.
+        ReplayFailed: a scan was never received, or was dropped as malformed or for overload.
+    """
+
+    def reader() -> RecordingReader:
+        return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry)
+
+    with reader() as messages:
+        total = sum(1 for _ in messages)
+    with open_session(network.for_client()) as session, ExitStack() as robots:
+        replay = _Replay(session, network.map_name, robots)
+        pace = _Pace(speed)
+        with reader() as messages, progress_bar("replaying", total, counted=True) as show:
+            for done, message in enumerate(messages, 1):
+                pace.wait_for(message.message.stamp)
+                replay.publish(message)
+                show(done)
+        typer.echo(f"{log}: {replay.finish()}" + _passed_over(messages))
+
+
+class _Replay:
+    """The state of one replay: publishers by robot, and what of each source is on its way."""
+
+    def __init__(self, session: zenoh.Session, map_name: str, robots: ExitStack) -> None:
+        self._session = session
+        self._map_name = map_name
+        self._opening = robots
+        self._client = robots.enter_context(MapClient(session=session, map_name=map_name))
+        self._run = uuid.uuid4().hex
+        self._robots: dict[str, RobotPublisher] = {}
+        self._seqs: Counter[Source] = Counter()
+        self._sent: dict[Source, _Sent] = {}
+        self._before = self._status = self._client.status()
+
+    def publish(self, recorded: Recorded) -> None:
+        """Send a message under a fresh run; wait first if too many scans of its source are on their way."""
+        publisher = self._publisher(recorded.robot)
+        if isinstance(recorded, RecordedPose):
+            source = Source(recorded.robot, None)
+            run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
+            publisher.put_pose(replace(recorded.message, run=run, seq=seq))
+            return
+        source = Source(recorded.robot, recorded.sensor)
+        sent = self._sent.setdefault(source, _Sent())
+        if len(sent.ahead) >= ASK_FROM:
+            self._follow()
+            self._patiently(lambda: len(sent.ahead) < MAX_AHEAD, "taking scans")
+        run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
+        publisher.put_scan(recorded.sensor, replace(recorded.message, run=run, seq=seq))
+        sent.ahead.append((run, seq))
+        sent.total += 1
+
+    def finish(self) -> str:
+        """Wait until the mapper has handled every scan; say what became of them."""
+
+        def received() -> bool:
+            return all(self._since(source, "received") >= sent.total for source, sent in self._sent.items())
+
+        def handled() -> bool:
+            return all(_books(self._status, source)["pending"] == 0 for source in self._sent)
+
+        self._follow()
+        self._patiently(received, "taking scans")
+        self._patiently(handled, "handling scans", PATIENCE_WITH_POSES)
+        dropped = self._dropped()
+        if any(dropped.get(reason) for reason in _FATAL):
+            raise ReplayFailed(self._report())
+        return self._report()
+
+    def _report(self) -> str:
+        total = sum(sent.total for sent in self._sent.values())
+        missing = total - sum(self._since(source, "received") for source in self._sent)
+        parts = [f"{total} scans sent", f"{self._integrated()} integrated"]
+        parts += [f"{count} dropped: {reason}" for reason, count in self._dropped().items()]
+        return ", ".join(parts + ([f"{missing} never received"] if missing > 0 else []))
+
+    def _integrated(self) -> int:
+        return sum(self._since(source, "integrated") for source in self._sent)
+
+    def _dropped(self) -> dict[str, int]:
+        """Why scans were dropped, if any of ours were: the mapper counts reasons for all robots together."""
+        done = sum(self._since(source, "received") - self._since(source, "pending") for source in self._sent)
+        if self._integrated() >= done:
+            return {}
+        before, now = (status["scans"]["dropped"] for status in (self._before, self._status))
+        return {reason: now[reason] - before[reason] for reason in now if now[reason] > before[reason]}
+
+    def _since(self, source: Source, count: str) -> int:
+        return int(_books(self._status, source)[count] - _books(self._before, source)[count])
+
+    def _follow(self) -> None:
+        """Ask the mapper how far it is with every source."""
+        self._status = self._client.status()
+        for source, sent in self._sent.items():
+            book = _books(self._status, source)
+            sent.taken(book["run"], book["last_seq"])
+
+    def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
+        """Poll until `reached`; give up when the books of our sources stand still for too long, s."""
+        patience = PATIENCE if patience is None else patience
+        deadline, seen = time.monotonic() + patience, self._progress()
+        while not reached():
+            if time.monotonic() > deadline:
+                raise ReplayFailed(f"the mapper stopped {what}: {self._report()}")
+            time.sleep(POLL)
+            self._follow()
+            if self._progress() != seen:
+                deadline, seen = time.monotonic() + patience, self._progress()
+
+    def _progress(self) -> list[dict[str, Any]]:
+        return [_books(self._status, source) for source in self._sent]
+
+    def _publisher(self, robot: str) -> RobotPublisher:
+        if robot not in self._robots:
+            publisher = RobotPublisher(
+                robot, session=self._session, map_name=self._map_name, run=self._run, reliable=True
+            )
+            self._robots[robot] = self._opening.enter_context(publisher)
+            publisher.wait_for_mapper(PATIENCE)
+        return self._robots[robot]
+
+    def _renamed(self, source: Source, run: str, seq: int) -> tuple[str, int]:
+        """Run and seq to send: a recorded run keeps its seqs, messages without a run are renumbered."""
+        if run:
+            return f"{self._run}.{run}", seq
+        self._seqs[source] += 1
+        return self._run, self._seqs[source] - 1
+
+
+class _Pace:
+    """Waits between messages as long as their robots did, divided by the speed."""
+
+    def __init__(self, speed: float | None) -> None:
+        self._speed = speed
+        self._due = time.monotonic()
+        self._newest: int | None = None
+
+    def wait_for(self, stamp: int) -> None:
+        """Sleep until a message of this stamp, ns, is due."""
+        if self._speed is None:
+            return
+        if self._newest is not None and stamp > self._newest:
+            pause = min((stamp - self._newest) / 1e9, LONGEST_PAUSE)
+            self._due += pause / self._speed
+            time.sleep(max(0.0, self._due - time.monotonic()))
+        self._newest = stamp if self._newest is None else max(self._newest, stamp)
+
+
+def _books(status: dict[str, Any], source: Source) -> dict[str, Any]:
+    """What a mapper's status says of one source; zeros before its first scan."""
+    nothing = {"run": "", "last_seq": None, "received": 0, "pending": 0, "integrated": 0}
+    sources = status["robots"].get(source.robot, {"sources": {}})["sources"]
+    books: dict[str, Any] = sources.get(source.sensor, nothing)
+    return books
+
+
+def _passed_over(messages: RecordingReader) -> str:
+    text = ""
+    if messages.malformed:
+        text = f", {messages.malformed} malformed lines passed over ({'; '.join(messages.complaints)})"
+    return f"{text}, not read: {messages.not_read}" if messages.not_read else text

@@ -1,0 +1,158 @@
+"""`ogm simulate`: robots that drive through a simulated world, live or into a recording."""
+
+import logging
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from ogm_client.errors import NobodyAnswered
+from ogm_client.robot import RobotPublisher
+from ogm_client.session import open_session
+from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
+from ogm_core.simulation.lidar import Lidar, measure
+from ogm_core.simulation.worlds import World, dump_world, world_named
+from ogm_core.types import Pose, PoseStamped, Ranges, Scan
+from ogm_core.wire.keys import MapKeys
+from ogm_services.commands.simulator_options import SimulatorOptions
+from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
+from ogm_services.replies.queryables import Queryables
+from ogm_services.settings.settings import NetworkSettings
+
+SENSOR = "laser"
+WAIT_FOR_MAPPER = 5.0
+FALLEN_BEHIND = 1.0
+"""A simulator that is later than this skips the time that it has lost, s."""
+
+log = logging.getLogger(__name__)
+
+
+class Simulation:
+    """Robots in a world: what each of them measures at each step. Equal seeds, equal measurements."""
+
+    def __init__(self, options: SimulatorOptions) -> None:
+        self.world = world_named(options.world)
+        lab = Lidar.lab()
+        self.lidar = Lidar(
+            beams=lab.beams if options.beams is None else options.beams,
+            fov=lab.fov if options.fov is None else options.fov,
+            range_max=lab.range_max if options.range_max is None else options.range_max,
+            noise=lab.noise if options.noise is None else options.noise,
+        )
+        self.robots = [f"robot{number + 1}" for number in range(options.robots)]
+        seeds = np.random.SeedSequence(options.seed).spawn(options.robots)
+        self._noise = [np.random.default_rng(seed) for seed in seeds]
+
+    def step(self, robot: int, step: int) -> tuple[Pose, Ranges]:
+        """Pose and ranges of a robot at a step; the robots are spread along the world's path."""
+        path = self.world.path
+        pose = path.pose(step + robot * path.count // len(self.robots))
+        return pose, measure(self.world, pose, self.lidar, self._noise[robot])
+
+    def messages(self, step: int, stamp: int, run: str) -> Iterator[Recorded]:
+        """Every robot's pose and scan of a step."""
+        for number, robot in enumerate(self.robots):
+            pose, ranges = self.step(number, step)
+            yield RecordedPose(robot, PoseStamped(stamp, pose, step, run))
+            yield RecordedScan(robot, SENSOR, self._scan(ranges, step, stamp, run))
+
+    def _scan(self, ranges: Ranges, seq: int, stamp: int, run: str) -> Scan:
+        lidar = self.lidar
+        return Scan(
+            stamp=stamp,
+            angle_min=lidar.angle_min,
+            angle_increment=lidar.angle_increment,
+            range_min=lidar.range_min,
+            range_max=lidar.range_max,
+            ranges=ranges,
+            seq=seq,
+            run=run,
+        )
+
+
+def record(options: SimulatorOptions, out: Path) -> None:
+    """Write `options.scans` scans of each robot, with their poses, into a recording; stamps begin at 0.
+
+    Raises:
+        BadRecording: the file cannot be written.
+        BadWorld, BadSetting: there is no such world, or no such LiDAR.
+    """
+    simulation = Simulation(options)
+    run = "simulated" if options.seed is None else f"seed-{options.seed}"
+    period = 1e9 / options.rate
+
+    def messages() -> Iterator[Recorded]:
+        for step in range(options.scans or 0):
+            yield from simulation.messages(step, round(step * period), run)
+
+    write_jsonl(out, messages())
+    typer.echo(f"{out}: {options.scans} scans each of {', '.join(simulation.robots)}")
+
+
+def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
+    """Publish the robots' poses and scans until KeyboardInterrupt, or until all `options.scans` are sent.
+
+    Meanwhile whoever asks is told the world: the truth that a map can be judged by.
+
+    Raises:
+        CannotConnect: no mapper or router is there.
+        BadWorld, BadSetting: there is no such world, or no such LiDAR.
+    """
+    simulation = Simulation(options)
+    truth = _truth(simulation.world)
+    run = uuid.uuid4().hex
+    with ExitStack() as opening:
+        session = opening.enter_context(open_session(network.for_client()))
+        queryables = Queryables(session, threads=1)
+        opening.callback(queryables.close)
+        queryables.declare(MapKeys(network.map_name).truth, truth)
+        robots = {
+            robot: opening.enter_context(
+                RobotPublisher(robot, session=session, map_name=network.map_name, run=run)
+            )
+            for robot in simulation.robots
+        }
+        _wait_for_mapper(robots[simulation.robots[0]])
+        typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
+        for step in _ticks(options):
+            for message in simulation.messages(step, time.time_ns(), run):
+                if isinstance(message, RecordedScan):
+                    robots[message.robot].put_scan(message.sensor, message.message)
+                else:
+                    robots[message.robot].put_pose(message.message)
+
+
+def _truth(world: World) -> Callable[[Parameters], Answer]:
+    """What is answered to queries of the truth: always the same."""
+    answer = Answer(dump_world(world).encode(), "application/yaml")
+
+    def truth(given: Parameters) -> Answer:
+        refuse_parameters(given, "truth")
+        return answer
+
+    return truth
+
+
+def _wait_for_mapper(robot: RobotPublisher) -> None:
+    try:
+        robot.wait_for_mapper(WAIT_FOR_MAPPER)
+    except NobodyAnswered:
+        log.warning("no mapper listens yet: scans are published all the same")
+
+
+def _ticks(options: SimulatorOptions) -> Iterator[int]:
+    """Step numbers at the rate of the scans."""
+    due, step = time.monotonic(), 0
+    while options.scans is None or step < options.scans:
+        late = time.monotonic() - due
+        if late > FALLEN_BEHIND:
+            log.warning("this machine simulates %g scans a second too slowly", options.rate)
+            due += late
+        time.sleep(max(0.0, -late))
+        yield step
+        due += 1.0 / options.rate
+        step += 1

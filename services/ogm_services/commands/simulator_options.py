@@ -1,0 +1,46 @@
+"""What the simulator is asked for; light, so that the command line loads nothing to ask."""
+
+import math
+from dataclasses import dataclass
+
+from ogm_core.errors import BadSetting
+
+MIN_RATE = 0.001
+"""The slowest rate of scans, Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorOptions:
+    """World, robots and LiDAR of a simulation; None leaves a value of the LiDAR to `simulation.lidar.Lidar`.
+
+    `world`: lab, office, or the path of the YAML file of a world or a ROS map. The robots are named robot1,
+    robot2, ... `rate`: scans a second of each robot. `seed` of the noise, None for a fresh one. `beams` of a
+    scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range) in metres. `scans`: how
+    many each robot takes, None for no end.
+
+    Raises:
+        BadSetting: a value is out of range. The LiDAR's own are judged where it is made.
+    """
+
+    world: str = "lab"
+    robots: int = 1
+    rate: float = 20.0
+    seed: int | None = None
+    beams: int | None = None
+    fov: float | None = None
+    range_max: float | None = None
+    noise: float | None = None
+    scans: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.robots < 1:
+            raise BadSetting(f"robots: at least 1 is needed, got {self.robots}")
+        if not MIN_RATE <= self.rate < math.inf:
+            raise BadSetting(f"rate: {MIN_RATE:g} scans a second or more are needed, got {self.rate:g}")
+        if self.seed is not None and self.seed < 0:
+            raise BadSetting(f"seed: 0 or more is needed, got {self.seed}")
+        if self.fov is not None and not 0.0 < self.fov <= math.tau:
+            degrees = math.degrees(self.fov)
+            raise BadSetting(f"fov: more than 0 and at most 360 degrees are needed, got {degrees:g}")
+        if self.scans is not None and self.scans < 1:
+            raise BadSetting(f"scans: at least 1 is needed, got {self.scans}")

@@ -1,0 +1,1 @@
+"""From a message's arrival to the worker that handles it."""

@@ -1,0 +1,191 @@
+"""The map while it is written: one writer, and any number of readers with copies."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
+
+from numpy.typing import NDArray
+
+from ogm_core.grid import OccupancyGrid
+from ogm_core.quality.figures import Consistency, quality_figures
+from ogm_core.quality.truth import truth_figures
+from ogm_core.simulation.worlds import World
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+
+RECENT_SCANS = 100
+"""The live consistency is that of so many newest scans."""
+FIGURES_PERIOD = 1.0
+"""Figures of the whole map are computed at most this often, s."""
+PATIENCE = 3.0
+"""Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
+
+_T = TypeVar("_T")
+
+
+class Identity(NamedTuple):
+    """Which map it is, and how far it has come."""
+
+    epoch: str
+    revision: int
+    stamp: int | None
+
+
+class _State(NamedTuple):
+    """What is told of a map without a look at its cells."""
+
+    identity: Identity
+    width: int
+    height: int
+    nbytes: int
+
+
+class LiveMap:
+    """An `OccupancyGrid` with one writer and many readers.
+
+    Who owns what: only the worker thread calls `integrate` and `reset`, and `_writing` is held while a kernel
+    runs or tiles that have changed are copied out. After each change the writer replaces `_state`, a tuple
+    that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads) share the newest
+    snapshot, which nobody changes; `_reading` keeps them from making the same copy twice. Figures have locks
+    of their own, so that who waits for them holds up nobody else.
+    """
+
+    def __init__(self, grid: OccupancyGrid) -> None:
+        self._grid = grid
+        self._recent: deque[PlacedScan] = deque(maxlen=RECENT_SCANS)
+        self._writing = threading.Lock()
+        self._reading = threading.Lock()
+        self._snapshot: MapSnapshot | None = None
+        self._state = self._told()
+        self._known_cells = _Figure()
+        self._quality = _Figure()
+
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+        """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
+        with self._writing:
+            updates = self._grid.integrate(scan, pose, sweep)
+            self._state = self._told()
+            self._recent.append(PlacedScan(scan, pose, sweep))
+            return updates
+
+    def reset(self, epoch: str) -> None:
+        """Writer: empty the map."""
+        with self._writing:
+            self._grid.reset(epoch)
+            self._state = self._told()
+            self._recent.clear()
+
+    @property
+    def now(self) -> Identity:
+        """Epoch, revision and stamp of this moment; waits for nobody."""
+        return self._state.identity
+
+    def identity(self) -> dict[str, Any]:
+        """The same by name."""
+        return self.now._asdict()
+
+    def snapshot(self) -> MapSnapshot:
+        """The map as it is now; the same object until it changes."""
+        with self._reading:
+            room = self._room()
+            with self._writing:
+                return self._current_snapshot(room)
+
+    def info(self) -> dict[str, Any]:
+        """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
+        state = self._state
+        return {
+            "known_cells": self._figure(self._known_cells, self._known_cells_now, patient=True),
+            "bytes": state.nbytes,
+            "width": state.width,
+            "height": state.height,
+            "resolution": self._grid.lattice.resolution,
+        }
+
+    def count_known(self) -> None:
+        """Bring the number of known cells up to date, so that nobody who asks for it need wait."""
+        self._figure(self._known_cells, self._known_cells_now)
+
+    def quality(self, world: World | None = None) -> dict[str, Any]:
+        """Quality figures of the map and its newest scans; may be a second old.
+
+        `truth` says how well the map agrees with a true `world`, None without one.
+        """
+        return self._figure(self._quality, lambda: self.fresh_quality(world), world)
+
+    def fresh_quality(self, world: World | None = None) -> dict[str, Any]:
+        """The same of this very moment, however long that takes."""
+        with self._reading:
+            room = self._room()
+            with self._writing:
+                snapshot = self._current_snapshot(room)
+                recent, updates = list(self._recent), self._grid.cell_updates
+        consistency = Consistency(snapshot, self._grid.settings)
+        for placed in recent:
+            consistency.add(placed)
+        figures = quality_figures(snapshot, consistency, updates)
+        figures["truth"] = None if world is None else truth_figures(snapshot, world)
+        return figures
+
+    def _told(self) -> _State:
+        """The state of the grid; the writer's."""
+        grid, rect = self._grid, self._grid.rect
+        return _State(Identity(grid.epoch, grid.revision, grid.stamp), rect.width, rect.height, grid.nbytes)
+
+    def _room(self) -> NDArray[Any] | None:
+        """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""
+        known, now = self._snapshot, self.now
+        if known is not None and (known.epoch, known.revision) == now[:2]:
+            return None
+        with self._writing:
+            make_room = self._grid.room_for_snapshot()
+        return make_room()
+
+    def _current_snapshot(self, room: NDArray[Any] | None) -> MapSnapshot:
+        """The newest snapshot, taken if need be; both locks are held."""
+        known = self._snapshot
+        if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):
+            known = self._snapshot = self._grid.snapshot(room)
+        return known
+
+    def _known_cells_now(self) -> int:
+        return self.snapshot().known_cells
+
+    def _figure(
+        self,
+        cached: "_Figure",
+        compute: Callable[[], _T],
+        world: World | None = None,
+        *,
+        patient: bool = False,
+    ) -> _T:
+        """The cached value, computed anew if the map or the world is another and it is FIGURES_PERIOD old.
+
+        Who is `patient` takes a value of up to PATIENCE, and does not wait while another one computes it.
+        """
+        if not cached.lock.acquire(blocking=not patient or cached.identity is None):
+            return cast(_T, cached.value)
+        try:
+            identity = self.identity()
+            new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
+            changed = identity != cached.identity or world is not cached.world
+            old = time.monotonic() - cached.time >= (PATIENCE if patient else FIGURES_PERIOD)
+            if new_life or (old and changed):
+                cached.value = compute()
+                cached.identity, cached.world, cached.time = identity, world, time.monotonic()
+            return cast(_T, cached.value)
+        finally:
+            cached.lock.release()
+
+
+class _Figure:
+    """A value, the map and the world that it is of, and when it was computed."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.value: Any = None
+        self.identity: dict[str, Any] | None = None
+        self.world: World | None = None
+        self.time = 0.0

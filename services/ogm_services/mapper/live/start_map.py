@@ -1,0 +1,79 @@
+"""The map that a mapper starts with: empty, or filled from a ROS map file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE, Cells, LogOdds
+from ogm_core.errors import BadSetting, LimitReached
+from ogm_core.grid import OccupancyGrid
+from ogm_services.settings.settings import Settings
+
+_UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
+"""Stored cells are rounded: what is undecided keeps this far away from "occupied"."""
+
+
+def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
+    """The map that the settings describe, before any scan.
+
+    With `mapper.start_map` the lattice is the file's: its resolution, and its origin as the anchor.
+
+    Raises:
+        BadMapFile: the file or its picture is not what is needed.
+        BadSetting: it contradicts the settings: another resolution, beyond the limits, a confidence too low.
+    """
+    path = settings.mapper.start_map
+    if path is None:
+        return OccupancyGrid(settings.grid_settings(), epoch)
+    # Here, because what reads pictures loads slowly, and most maps start empty.
+    from ogm_core.files.ros_map_reader import read_ros_map
+
+    ros_map = read_ros_map(path)
+    _check_resolution(settings, ros_map.resolution, path)
+    grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
+    grid = OccupancyGrid(grid_settings, epoch)
+    try:
+        grid.begin_with(start_cells(ros_map.occupancy, grid.model, settings.mapper.start_confidence))
+    except LimitReached as error:
+        raise BadSetting(
+            f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
+        ) from error
+    return grid
+
+
+def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) -> Cells:
+    """Stored cells of a ROS map's occupancy, of the same shape: 0 to 100, or -1 for unknown.
+
+    p = occupancy / 100, limited to [1 - confidence, confidence], and to the model's clamps. Every cell keeps
+    its class: occupied (p > 0.65), free (p < 0.196), neither or unknown.
+
+    Raises:
+        BadSetting: that confidence, or these clamps, do not allow that.
+    """
+    said = np.arange(101) / 100.0
+    p = np.clip(said, 1.0 - confidence, confidence)
+    p = np.where(said > OCCUPIED_ABOVE, p, np.minimum(p, _UNDECIDED_UP_TO))
+    # One entry more, for unknown: -1 is the last one's index.
+    known = np.append(np.ones(101, np.bool_), False)
+    table = model.store(np.append(np.log(p / (1.0 - p)), 0.0), known)
+    stored = model.probability(table)
+    if not np.array_equal(trinary(stored, known), trinary(np.append(said, 0.0), known)):
+        raise BadSetting(
+            f"mapper.start_confidence: with {confidence:g} and the clamps map.l_min and map.l_max, occupied "
+            f"cells would start at p = {stored[100]:.4g} and free ones at {stored[0]:.4g}; more than "
+            f"{OCCUPIED_ABOVE} and less than {FREE_BELOW} are needed: raise it, or leave the clamps alone"
+        )
+    cells: Cells = table[occupancy]
+    return cells
+
+
+def _check_resolution(settings: Settings, resolution: float, path: Path) -> None:
+    given = settings.map.resolution
+    if "resolution" in settings.map.model_fields_set and given != resolution:
+        raise BadSetting(
+            f"map.resolution is {given!r} m, but the cells of mapper.start_map {path} are {resolution!r} m: "
+            "leave map.resolution out"
+        )

@@ -1,0 +1,64 @@
+"""The true world of a map, as far as simulators tell it."""
+
+import logging
+from collections.abc import Iterable
+
+from ogm_core.errors import OgmError
+from ogm_core.simulation.worlds import World, load_world
+from ogm_services.runtime.limited_log import LimitedLog
+
+MAX_BYTES = 2 * 1024**2
+"""A longer text is not read: that would take too long. A ROS map of a warehouse becomes half a megabyte."""
+
+log = logging.getLogger(__name__)
+
+
+class Truth:
+    """The world that the simulators of a map say they simulate.
+
+    One thread calls `heard` and `settle`; any may read `world`, which stays the same object as long as the
+    same is told.
+    """
+
+    def __init__(self) -> None:
+        self.world: World | None = None
+        """The true world; None if nobody tells one."""
+        self._read: dict[bytes, World | None] = {}
+        """What was told last, in the order of the texts, as worlds; None where a text is not one."""
+        self._last: World | None = None
+        self._epoch = ""
+        self._complaints = LimitedLog(log)
+
+    def heard(self, epoch: str, texts: Iterable[bytes]) -> None:
+        """Take what simulators have just answered while the map was in that epoch.
+
+        Simulators of different worlds are no truth of one map. Worlds are never mixed: the first well-formed
+        text counts, in the order of their bytes, so that it is the same one whoever answers first.
+        """
+        told = sorted(set(texts))
+        if told != list(self._read):
+            self._read = {text: self._read.get(text) or self._world(text) for text in told}
+            names = [world.name for world in self._read.values() if world is not None]
+            if len(names) > 1:
+                self._complaints.warning("simulators", f"they tell {len(names)} worlds; {names[0]!r} counts")
+        self.world = next((world for world in self._read.values() if world is not None), None)
+        if epoch != self._epoch:
+            self._epoch, self._last = epoch, None
+        self._last = self.world or self._last
+
+    def settle(self) -> None:
+        """Nobody will be asked any more: what was told last of this epoch stays the truth.
+
+        Simulators often end before their mapper does, and leave a map that is still to be judged.
+        """
+        self.world = self._last
+
+    def _world(self, text: bytes) -> World | None:
+        try:
+            if len(text) <= MAX_BYTES:
+                return load_world(text.decode())
+            reason = f"{len(text)} bytes are more than {MAX_BYTES}"
+        except (OgmError, UnicodeDecodeError) as error:
+            reason = str(error)
+        self._complaints.warning("a simulator's world", f"passed over: {reason}")
+        return None

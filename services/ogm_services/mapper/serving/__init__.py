@@ -1,0 +1,1 @@
+"""What the mapper answers, over HTTP and Zenoh."""

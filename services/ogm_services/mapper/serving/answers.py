@@ -1,0 +1,239 @@
+"""What the mapper answers, over HTTP and Zenoh alike: a name and its parameters in, bytes out."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from ogm_core.errors import BadParameter
+from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode_png, encode_yaml
+from ogm_core.lattice import Region
+from ogm_core.snapshot import MapSnapshot
+from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.monitor import Observer
+from ogm_services.replies.answer import Answer, Parameters, UnknownName
+
+CACHE_BYTES = 64 * 1024**2
+"""Encoded maps of the current revision that are kept for the next who asks."""
+BYTES_BESIDES = 4096
+"""What an answer that is kept takes besides its body and what was asked, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class _MapFormat:
+    media_type: str
+    parameters: frozenset[str]
+    encode: Callable[[MapSnapshot, str, Parameters], bytes]
+
+
+MAP_FORMATS: dict[str, _MapFormat] = {
+    "png": _MapFormat(
+        "image/png",
+        frozenset({"region", "palette", "max_size"}),
+        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", "ros")),
+    ),
+    "json": _MapFormat(
+        "application/json",
+        frozenset({"region", "values"}),
+        lambda snapshot, name, given: encode_json(snapshot, name, given.get("values", "percent")),
+    ),
+    "pgm": _MapFormat(
+        "image/x-portable-graymap",
+        frozenset({"region", "palette"}),
+        lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", "ros")),
+    ),
+    "yaml": _MapFormat(
+        "application/yaml", frozenset({"region"}), lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
+    ),
+    "npz": _MapFormat("application/x-npz", frozenset({"region"}), lambda snapshot, *_: encode_npz(snapshot)),
+}
+
+
+class Answers:
+    """Everything that can be asked of a mapper. Any thread; nothing here waits for the network."""
+
+    def __init__(self, map_name: str, live_map: LiveMap, ledger: Ledger, observer: Observer) -> None:
+        self._map_name = map_name
+        self._map = live_map
+        self._observer = observer
+        self._ledger = ledger
+        self._started = time.monotonic()
+        self._cache = _AnswerCache()
+
+    def map(self, form: str, given: Parameters) -> Answer:
+        """The map in a format of MAP_FORMATS.
+
+        Raises:
+            UnknownName: there is no such format.
+            BadParameter: a parameter is unknown or ill-formed, or its region misses the map.
+            MapEmpty: a picture of a map without a known cell.
+        """
+        if form not in MAP_FORMATS:
+            raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {form!r}")
+        wanted = MAP_FORMATS[form]
+        _check_names(given, wanted.parameters)
+        asked = self._map.now
+        key = (form, tuple(sorted(given.items())))
+        answer = self._cache.find(key, asked)
+        if answer is None:
+            with self._cache.turn(key):
+                # Whoever had the turn before may have encoded a map that is new enough for this one too.
+                answer = self._cache.find(key, asked) or self._encoded(wanted, given, key)
+        return answer
+
+    def now(self) -> Identity:
+        """Epoch, revision and stamp of the map at this moment; waits for nobody."""
+        return self._map.now
+
+    def _encoded(self, wanted: _MapFormat, given: Parameters, key: object) -> Answer:
+        snapshot = self._map.snapshot()
+        cut = _shrunk(_cropped(snapshot, given), given)
+        answer = Answer(wanted.encode(cut, self._map_name, given), wanted.media_type, cut.meta())
+        self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
+        return answer
+
+    def cell(self, given: Parameters) -> Answer:
+        """One cell: indices, whether it is known, and its log odds and probability if so.
+
+        Raises:
+            BadParameter: x or y is missing or is not a coordinate.
+        """
+        _check_names(given, {"x", "y"})
+        x, y = (_number(name, given.get(name)) for name in "xy")
+        snapshot = self._map.snapshot()
+        ix, iy = snapshot.lattice.cell_of(x, y)
+        column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
+        reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
+        reply |= {"log_odds": None, "probability": None}
+        if 0 <= column < snapshot.width and 0 <= row < snapshot.height:
+            cells = snapshot.stored[row : row + 1, column : column + 1]
+            if snapshot.model.known(cells).item():
+                log_odds = snapshot.model.log_odds(cells).item()
+                probability = snapshot.model.probability(cells).item()
+                reply |= {"known": True, "log_odds": log_odds, "probability": probability}
+        return _json(reply)
+
+    def quality(self, given: Parameters) -> Answer:
+        """The quality figures, those against the true world if there is one, and how they have settled."""
+        _check_names(given, ())
+        return _json(self.quality_fields())
+
+    def status(self, given: Parameters) -> Answer:
+        """The mapper's status."""
+        _check_names(given, ())
+        return _json(self.status_fields())
+
+    def quality_fields(self, *, fresh: bool = False) -> dict[str, Any]:
+        """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`."""
+        compute = self._map.fresh_quality if fresh else self._map.quality
+        series = self._observer.series.columns(self._map.identity()["epoch"])
+        return {**compute(self._observer.truth.world), "series": series}
+
+    def status_fields(self) -> dict[str, Any]:
+        """The mapper's status, not yet encoded."""
+        books = self._ledger.status()
+        return {
+            "map": self._map_name,
+            **self._map.identity(),
+            "scans": books["scans"],
+            "poses": books["poses"],
+            "other": books["other"],
+            "map_info": self._map.info(),
+            "robots": books["robots"],
+            "uptime_s": time.monotonic() - self._started,
+        }
+
+
+class _AnswerCache:
+    """Encoded answers of the newest revision that was encoded, and whose turn it is to encode.
+
+    An answer will do for whoever asked when the map was not newer. So readers who come while one is encoded
+    wait, and then one of them encodes for all: never two the same, and nobody gets a map older than his
+    question, however fast it changes.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._of = Identity("", -1, None)
+        self._answers: dict[object, Answer] = {}
+        self._size = 0
+        self._turns: dict[object, _Turn] = {}
+
+    def find(self, key: object, asked: Identity) -> Answer | None:
+        with self._lock:
+            new_enough = self._of.epoch == asked.epoch and self._of.revision >= asked.revision
+            return self._answers.get(key) if new_enough else None
+
+    def keep(self, key: object, of: Identity, answer: Answer) -> None:
+        size = len(answer.body) + len(repr(key)) + BYTES_BESIDES
+        with self._lock:
+            if self._of.epoch == of.epoch and self._of.revision > of.revision:
+                return
+            if self._of != of or self._size + size > CACHE_BYTES:
+                self._of, self._answers, self._size = of, {}, 0
+            if size <= CACHE_BYTES:
+                self._answers[key] = answer
+                self._size += size
+
+    @contextmanager
+    def turn(self, key: object) -> Iterator[None]:
+        """Wait until nobody else encodes what has this key."""
+        with self._lock:
+            turn = self._turns.setdefault(key, _Turn(threading.Lock()))
+            turn.wanted += 1
+        try:
+            with turn.lock:
+                yield
+        finally:
+            with self._lock:
+                turn.wanted -= 1
+                if not turn.wanted:
+                    del self._turns[key]
+
+
+@dataclass(slots=True)
+class _Turn:
+    lock: threading.Lock
+    wanted: int = 0
+
+
+def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:
+    for name in given:
+        if name not in allowed:
+            listed = ", ".join(sorted(allowed)) or "none"
+            raise BadParameter(f"{name}: unknown parameter; there are: {listed}")
+
+
+def _cropped(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
+    if "region" not in given:
+        return snapshot
+    parts = given["region"].split(",")
+    if len(parts) != 4:
+        raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {given['region']!r}")
+    return snapshot.crop(Region(*(_number("region", part) for part in parts)))
+
+
+def _shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
+    if "max_size" not in given:
+        return snapshot
+    text = given["max_size"]
+    if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) > 0):
+        raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {text!r}")
+    return snapshot.shrink(int(text))
+
+
+def _number(name: str, text: str | None) -> float:
+    if text is None:
+        raise BadParameter(f"{name}: missing")
+    try:
+        return float(text)
+    except ValueError:
+        raise BadParameter(f"{name}: a number is needed, got {text!r}") from None
+
+
+def _json(value: dict[str, Any]) -> Answer:
+    return Answer(json.dumps(value).encode(), "application/json")

@@ -1,0 +1,276 @@
+"""The mapper on HTTP: a FastAPI application over `Answers`. It knows names, bytes and headers, and no map."""
+
+import importlib.metadata
+import logging
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from fastapi_offline import FastAPIOffline
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ogm_core.errors import BadParameter, OgmError
+from ogm_services.mapper.live.live_map import Identity
+from ogm_services.mapper.serving.answers import BYTES_BESIDES, CACHE_BYTES, MAP_FORMATS, Answers
+from ogm_services.mapper.serving.metrics import prometheus_text
+from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
+
+NO_STORE = {"Cache-Control": "no-store"}
+
+log = logging.getLogger(__name__)
+Handler = Callable[[Request], Awaitable[Response]]
+
+_PARAMETERS = {
+    "region": "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
+    "palette": "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
+    "max_size": "longest side in pixels: the picture is shrunk by a whole factor",
+    "values": "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
+    "x": "metres, map frame",
+    "y": "metres, map frame",
+}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What probes ask of the service."""
+
+    alive: Callable[[], bool]
+    ready: Callable[[], bool]
+
+
+class _NoStore:
+    """ASGI middleware: nothing is kept by caches unless a route says otherwise."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_marked(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in NO_STORE.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_marked)
+
+
+class _ReadyMaps:
+    """Maps that are ready to be sent again, byte for byte, as long as the map does not change.
+
+    As ASGI middleware it answers for them at once: on the event loop, without a thread, a lock or a route.
+    All of it belongs to the event loop.
+    """
+
+    def __init__(self, answers: Answers) -> None:
+        self._answers = answers
+        self._of: Identity | None = None
+        self._ready: dict[tuple[str, bytes], _ReadyMap] = {}
+        self._size = 0
+
+    def around(self, app: ASGIApp) -> ASGIApp:
+        """The application behind."""
+
+        async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+            ready = None
+            if scope["type"] == "http" and scope["method"] in ("GET", "HEAD"):
+                ready = self._ready.get((scope["path"], scope["query_string"]))
+            if ready is None or self._of != self._answers.now():
+                await app(scope, receive, send)
+            else:
+                await ready.response_to(scope)(scope, receive, send)
+
+        return answer
+
+    def keep(self, request: Request, answer: Answer) -> Response:
+        """The response to a request for a map, kept if the map is still the same."""
+        ready, now = _ReadyMap(answer), self._answers.now()
+        if ready.of == now[:2]:
+            asked = request.scope["path"], request.scope["query_string"]
+            size = len(answer.body) + sum(map(len, asked)) + BYTES_BESIDES
+            if self._of != now or self._size + size > CACHE_BYTES:
+                self._of, self._ready, self._size = now, {}, 0
+            if size <= CACHE_BYTES:
+                self._ready[asked] = ready
+                self._size += size
+        return ready.response_to(request.scope)
+
+
+class _ReadyMap:
+    """The two responses that a map can be, with its body and without."""
+
+    def __init__(self, answer: Answer) -> None:
+        headers = _map_headers(answer)
+        self.of = headers["OGM-Epoch"], int(headers["OGM-Revision"])
+        self._etag = headers["ETag"]
+        self._whole = Response(answer.body, media_type=answer.media_type, headers=headers)
+        self._not_modified = Response(status_code=304, headers=headers)
+
+    def response_to(self, scope: Scope) -> Response:
+        """One of the two, as the request's validators want it; it may be sent any number of times."""
+        for name, value in scope["headers"]:
+            if name == b"if-none-match":
+                return self._not_modified if _matches(value.decode("latin-1"), self._etag) else self._whole
+        return self._whole
+
+
+def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
+    """Make the application; nothing is computed before a request comes."""
+    version = importlib.metadata.version("zenoh-ogm")
+    app = FastAPIOffline(
+        title="zenoh-ogm mapper",
+        version=version,
+        description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
+        redoc_url=None,
+    )
+    ready = _ReadyMaps(answers)
+    app.add_middleware(_NoStore)
+    app.add_middleware(ready.around)
+    for form, wanted in MAP_FORMATS.items():
+        handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
+        _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))
+    _get(app, "/cell", _handler(answers.cell), "application/json", "One cell", ["x", "y"])
+    _get(app, "/quality", _handler(answers.quality), "application/json", "The quality figures")
+    _get(app, "/status", _handler(answers.status), "application/json", "The mapper's status")
+    _add_service_routes(app, answers, health, version)
+
+    @app.post("/reset", summary="Empty the map: a new epoch, revision 0")
+    async def post_reset(request: Request) -> Response:
+        _parameters_of(request, allowed=False)
+        await run_in_threadpool(reset)
+        return _plain(await run_in_threadpool(answers.status, {}))
+
+    app.add_exception_handler(OgmError, _ogm_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(Exception, _bug)
+    return app
+
+
+def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version: str) -> None:
+    page = files("ogm_services.mapper.serving").joinpath("page/index.html").read_text("utf-8")
+
+    async def show_page(_: Request) -> Response:
+        return HTMLResponse(page)
+
+    async def livez(_: Request) -> Response:
+        return _probe(health.alive(), "the worker has stopped")
+
+    async def readyz(_: Request) -> Response:
+        return _probe(health.alive() and health.ready(), "the mapper is still starting")
+
+    async def metrics(_: Request) -> Response:
+        text = prometheus_text(await run_in_threadpool(answers.status_fields))
+        return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
+
+    async def show_version(_: Request) -> Response:
+        return JSONResponse({"name": "zenoh-ogm", "version": version})
+
+    _get(app, "/", show_page, "text/html", "The live page")
+    _get(app, "/livez", livez, "text/plain", "Whether the mapper works: 200 or 503")
+    _get(app, "/readyz", readyz, "text/plain", "Whether it takes scans: 200 or 503")
+    _get(app, "/metrics", metrics, "text/plain", "The status as Prometheus text")
+    _get(app, "/version", show_version, "application/json", "Name and version of this program")
+
+
+def _get(
+    app: FastAPI, path: str, handler: Handler, media_type: str, summary: str, parameters: Sequence[str] = ()
+) -> None:
+    """Route GET and HEAD; the parameters are documented here and checked where they are used."""
+    described = [
+        {
+            "name": name,
+            "in": "query",
+            "required": name in ("x", "y"),
+            "description": _PARAMETERS[name],
+            "schema": {"type": "string"},
+        }
+        for name in parameters
+    ]
+    app.add_api_route(
+        path,
+        handler,
+        summary=summary,
+        response_class=Response,  # without a media type of its own, so that the one given here stands alone
+        responses={200: {"content": {media_type: {}}}},
+        openapi_extra={"parameters": described} if described else None,
+    )
+    app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
+
+
+def _handler(answer: Callable[[Parameters], Answer]) -> Handler:
+    async def handle(request: Request) -> Response:
+        return _plain(await run_in_threadpool(answer, _parameters_of(request)))
+
+    return handle
+
+
+def _map_handler(answers: Answers, ready: _ReadyMaps, form: str) -> Handler:
+    async def handle(request: Request) -> Response:
+        answer = await run_in_threadpool(answers.map, form, _parameters_of(request))
+        return ready.keep(request, answer)
+
+    return handle
+
+
+def _map_headers(answer: Answer) -> dict[str, str]:
+    meta = answer.meta or {}
+    origin = meta["origin"]
+    return {
+        "ETag": str(answer.etag),
+        "Cache-Control": "no-cache",
+        "OGM-Resolution": repr(meta["resolution"]),
+        "OGM-Origin": f"{origin['x']!r},{origin['y']!r}",
+        "OGM-Epoch": meta["epoch"],
+        "OGM-Revision": str(meta["revision"]),
+        "OGM-Stamp": "null" if meta["stamp"] is None else str(meta["stamp"]),
+    }
+
+
+def _matches(if_none_match: str | None, etag: str) -> bool:
+    """Whether a request's validators name this one (RFC 9110, section 13.1.2: weak comparison)."""
+    if if_none_match is None:
+        return False
+    named = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
+    return etag in named or "*" in named
+
+
+def _parameters_of(request: Request, *, allowed: bool = True) -> Parameters:
+    given: dict[str, str] = {}
+    for name, value in request.query_params.multi_items():
+        if name in given or not allowed:
+            raise BadParameter(f"{name}: {'given twice' if allowed else 'unknown parameter; there are none'}")
+        given[name] = value
+    return given
+
+
+def _plain(answer: Answer) -> Response:
+    return Response(answer.body, media_type=answer.media_type)
+
+
+def _probe(healthy: bool, otherwise: str) -> Response:
+    text, status = ("ok", 200) if healthy else (otherwise, 503)
+    return PlainTextResponse(text, status_code=status)
+
+
+async def _ogm_error(_: Request, error: Exception) -> Response:
+    assert isinstance(error, OgmError)
+    return Response(problem_of(error), status_of(error), media_type=MEDIA_TYPE)
+
+
+async def _http_error(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    slug = {404: "not-found", 405: "method-not-allowed"}.get(error.status_code, "http")
+    body = problem(slug, error.status_code, str(error.detail))
+    return Response(body, error.status_code, error.headers, MEDIA_TYPE)
+
+
+async def _bug(request: Request, error: Exception) -> Response:
+    log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    body = problem("internal", 500, "the mapper failed; see its log")
+    return Response(body, 500, NO_STORE, MEDIA_TYPE)  # it does not pass through _NoStore

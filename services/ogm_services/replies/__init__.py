@@ -1,0 +1,1 @@
+"""Answers, where they are given, and how errors become replies."""

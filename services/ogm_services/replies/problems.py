@@ -1,0 +1,34 @@
+"""How an error is told: RFC 9457 problem details, the same over HTTP and in Zenoh error replies."""
+
+import http
+import json
+
+from ogm_core.errors import BadInput, MapEmpty, OgmError
+from ogm_services.mapper.intake.worker import Unavailable
+from ogm_services.replies.answer import UnknownName
+
+MEDIA_TYPE = "application/problem+json"
+
+# First match wins.
+_STATUS: tuple[tuple[type[OgmError], int], ...] = (
+    (MapEmpty, 404),
+    (UnknownName, 404),
+    (BadInput, 400),
+    (Unavailable, 503),
+)
+
+
+def status_of(error: OgmError) -> int:
+    """HTTP status code of an error."""
+    return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
+
+
+def problem(slug: str, status: int, detail: str) -> bytes:
+    """Body of a problem+json reply."""
+    title = http.HTTPStatus(status).phrase
+    return json.dumps({"type": slug, "title": title, "status": status, "detail": detail}).encode()
+
+
+def problem_of(error: OgmError) -> bytes:
+    """Body of the problem+json reply to an error that was raised on purpose."""
+    return problem(error.slug, status_of(error), str(error))

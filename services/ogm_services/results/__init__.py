@@ -1,0 +1,1 @@
+"""What a finished map is written as."""

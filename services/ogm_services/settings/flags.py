@@ -1,0 +1,237 @@
+"""The flags that commands share, each group defined once, and the decorator that gives them to a command.
+
+A group is a frozen dataclass whose fields are annotated with `typer.Option`. Flags that give settings pass
+on text and nothing else: `settings.settings` judges values, whichever source they come from.
+"""
+
+import inspect
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+
+import typer
+
+from ogm_core.cells.log_odds import CellType
+from ogm_core.grid_settings import Outside, SensorModel, Traversal
+from ogm_services.settings.settings import Settings, flag_name, load_settings
+from ogm_services.settings.values import LOOPBACK, Preset
+
+PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"}
+
+
+def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
+    """Option of a setting: its flag, its help with the default, its panel of the help page."""
+    default = getattr(getattr(Settings(), section), key)
+    shown = "none" if default in (None, ()) else default
+    if isinstance(default, float):
+        shown = f"{default:g}"
+    return typer.Option(
+        flag_name(section, key),
+        metavar=metavar,
+        help=f"{text} (default: {shown}).",
+        rich_help_panel=PANELS[section],
+    )
+
+
+def _choices(kind: Any) -> str:  # noqa: ANN401 (any Literal)
+    return "|".join(get_args(kind))
+
+
+@dataclass(frozen=True)
+class _SettingFlags:
+    """A group whose fields are the keys of one section of the settings."""
+
+    section: ClassVar[str]
+
+    def given(self) -> dict[str, Any]:
+        """What was given on the command line, by key."""
+        return {
+            field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None
+        }
+
+
+@dataclass(frozen=True)
+class MapFlags(_SettingFlags):
+    """Map flags of demo, mapper and build."""
+
+    section = "map"
+
+    preset: Annotated[
+        str | None, _setting("map", "preset", _choices(Preset), "Replace all map defaults by a preset's")
+    ] = None
+    resolution: Annotated[str | None, _setting("map", "resolution", "METRES", "Size of a cell")] = None
+    model: Annotated[str | None, _setting("map", "model", _choices(SensorModel), "Sensor model")] = None
+    traversal: Annotated[
+        str | None,
+        _setting("map", "traversal", _choices(Traversal), "How a beam is traced through the cells"),
+    ] = None
+    p_occ: Annotated[str | None, _setting("map", "p_occ", "P", "Probability that a hit stands for")] = None
+    p_free: Annotated[
+        str | None, _setting("map", "p_free", "P", "Probability that a passing beam stands for")
+    ] = None
+    p_prior: Annotated[
+        str | None, _setting("map", "p_prior", "P", "Probability of a cell before any beam")
+    ] = None
+    alpha: Annotated[
+        str | None,
+        _setting(
+            "map", "alpha", "METRES", "Obstacle thickness, 3 to 6 standard deviations of the range noise"
+        ),
+    ] = None
+    l_min: Annotated[str | None, _setting("map", "l_min", "LOGODDS", "Lower clamp of the log odds")] = None
+    l_max: Annotated[str | None, _setting("map", "l_max", "LOGODDS", "Upper clamp of the log odds")] = None
+    reach: Annotated[
+        str | None, _setting("map", "reach", "METRES", "No beam writes farther from the sensor than this")
+    ] = None
+    clear_range: Annotated[
+        str | None,
+        _setting("map", "clear_range", "METRES", "A beam without return clears no farther than this"),
+    ] = None
+    cells: Annotated[
+        str | None, _setting("map", "cells", _choices(CellType), "How a cell's log odds are stored")
+    ] = None
+    bounds: Annotated[
+        str | None,
+        _setting("map", "bounds", "XMIN,YMIN,XMAX,YMAX", "Limit the map to this rectangle, in metres"),
+    ] = None
+    outside: Annotated[
+        str | None,
+        _setting(
+            "map", "outside", _choices(Outside), "With bounds: cut off a beam that leaves them, or ignore it"
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class NetworkFlags(_SettingFlags):
+    """Network flags of every service."""
+
+    section = "network"
+
+    map_name: Annotated[str | None, _setting("network", "map_name", "NAME", "Name of the map")] = None
+    listen: Annotated[
+        str | None,
+        _setting(
+            "network",
+            "listen",
+            "ENDPOINTS",
+            f"Zenoh endpoints to listen on, separated by commas; a mapper told nothing listens on {LOOPBACK}",
+        ),
+    ] = None
+    connect: Annotated[
+        str | None,
+        _setting(
+            "network",
+            "connect",
+            "ENDPOINTS",
+            f"Zenoh endpoints to connect to, separated by commas; others than a mapper try {LOOPBACK}",
+        ),
+    ] = None
+    zenoh_config: Annotated[
+        str | None, _setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
+    ] = None
+
+
+@dataclass(frozen=True)
+class HttpFlags(_SettingFlags):
+    """HTTP flags of the mapper."""
+
+    section = "http"
+
+    host: Annotated[str | None, _setting("http", "host", "ADDRESS", "Address to serve HTTP on")] = None
+    port: Annotated[
+        str | None, _setting("http", "port", "PORT", "Port to serve HTTP on, 0 for any free one")
+    ] = None
+
+
+@dataclass(frozen=True)
+class MapperFlags(_SettingFlags):
+    """Flags of the mapper alone."""
+
+    section = "mapper"
+
+    start_map: Annotated[
+        str | None,
+        _setting("mapper", "start_map", "FILE.yaml", "Start with this ROS map, on its lattice"),
+    ] = None
+    start_confidence: Annotated[
+        str | None,
+        _setting("mapper", "start_confidence", "P", "Probability that the start map is right about a cell"),
+    ] = None
+
+
+@dataclass(frozen=True)
+class LogFlags:
+    """Log flags of build and replay; the reader of the log judges the values."""
+
+    range_max: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Ranges from here on mean 'no return' in this log, whatever it says itself.",
+            rich_help_panel="Log",
+        ),
+    ] = None
+    robot: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Rename the log's one robot.", rich_help_panel="Log")
+    ] = None
+    odometry: Annotated[
+        bool,
+        typer.Option(
+            "--odometry",
+            help="Take poses from the ODOM lines of a CARMEN log, instead of those in its laser's lines.",
+            rich_help_panel="Log",
+        ),
+    ] = False
+
+
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE.yaml", help="Settings file; environment and flags override it."),
+]
+
+
+def settings_from(config: Path | None, *groups: _SettingFlags) -> Settings:
+    """Settings of a command, from its flags, this process's environment and its settings file."""
+    flags = {group.section: group.given() for group in groups}
+    return load_settings(config=config, flags=flags, environ=os.environ)
+
+
+def with_flag_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace every parameter of `command` whose type is a group by the group's flags.
+
+    Typer sees the flags; the command gets one object per group.
+    """
+    groups: dict[str, Any] = {}
+    flags: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if is_dataclass(parameter.annotation):
+            groups[name] = parameter.annotation
+            flags += _flags_of(parameter.annotation)
+        else:
+            flags.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @wraps(command)
+    def run(**values: Any) -> None:  # noqa: ANN401 (whatever typer has read)
+        objects = {
+            name: group(**{field.name: values.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
+        command(**values, **objects)
+
+    run.__dict__["__signature__"] = inspect.Signature(flags)
+    run.__annotations__ = {flag.name: flag.annotation for flag in flags}
+    return run
+
+
+def _flags_of(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401 (any dataclass)
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
+        )
+        for field in fields(group)
+    ]
