@@ -8,14 +8,14 @@ from contextlib import ExitStack
 import numpy as np
 
 from benchmarks.growth import Case, Costs, Factor, Floats, best_of, place
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, encode_pose, encode_scan
-from ogm_services.mapper.intake.queue import Inbox, Item
+from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.mapper.intake.worker import Worker
-from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.mapper import Mapper, ScanSink
 
 ROBOTS = Factor("robots", (1, 2, 4, 8, 16, 32, 64), (1, 64), 1)
 RATE = 10
@@ -50,11 +50,11 @@ class Fleet:
             Pose(*self._rng.uniform((margin, margin, 0.0), (far, far, 6.0))) for _ in range(robots)
         ]
         self._tick = 0
-        self.ledger = Ledger()
-        self._inbox = Inbox(robots * self._ticks)
-        mapper = Mapper(sink, self.ledger)
+        self.receipts = Receipts()
+        self._queue = ScanQueue(robots * self._ticks)
+        mapper = ScanPlacer(sink, self.receipts, lambda *_: None)
         self._worker = Worker(
-            self._inbox, mapper, self.ledger, max_beams=DEFAULT_MAX_BEAMS, pose_wait=math.inf
+            self._queue, mapper, self.receipts, max_beams=DEFAULT_MAX_BEAMS, pose_wait=math.inf
         )
 
     def __enter__(self) -> "Fleet":
@@ -82,10 +82,10 @@ class Fleet:
     def _receive(self, source: Source, payload: bytes) -> None:
         """As the subscriber's callback does."""
         if source.sensor is None:
-            self.ledger.pose_received(source.robot)
+            self.receipts.pose_received(source.robot)
         else:
-            self.ledger.scan_received(source.robot, source.sensor)
-        self._inbox.put(Item(source, payload, time.monotonic()))
+            self.receipts.scan_received(source.robot, source.sensor)
+        self._queue.put(Message(source, payload, time.monotonic()))
 
     def _moved(self) -> list[tuple[Source, bytes]]:
         """A pose and a scan of every robot, a tick later."""

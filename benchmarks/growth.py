@@ -24,7 +24,7 @@ Costs = dict[str, dict[str, Floats]]
 VARIANTS: dict[str, dict[str, Any]] = {
     "bresenham": {"traversal": "bresenham"},
     "dda": {"traversal": "dda"},
-    "sector": {"sensor": "sector"},
+    "sector": {"sensor_model": "sector"},
 }
 """Settings of a map by what the tables call it; cells are int16."""
 NOISE = 0.02

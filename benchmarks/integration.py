@@ -79,8 +79,8 @@ def variants(work: Workload) -> list[Ours]:
         Ours(f"{BRESENHAM}, new memory", work, settings_of(work), new_memory=True),
         Ours(BRESENHAM_64, work, settings_of(work, cells="float64")),
         Ours(DDA, work, settings_of(work, traversal="dda")),
-        Ours(SECTOR, work, settings_of(work, sensor="sector")),
-        Ours(f"{SECTOR}, new memory", work, settings_of(work, sensor="sector"), new_memory=True),
+        Ours(SECTOR, work, settings_of(work, sensor_model="sector")),
+        Ours(f"{SECTOR}, new memory", work, settings_of(work, sensor_model="sector"), new_memory=True),
     ]
 
 

@@ -32,7 +32,7 @@ class Limit:
     def __init__(self, work: Workload, every: int) -> None:
         """Find the spans of the scans, by mapping each one alone."""
         self._scans = work.scans[::every]
-        self._settings = settings_of(work, sensor="sector")
+        self._settings = settings_of(work, sensor_model="sector")
         spans = [self.spans_of(placed) for placed in self._scans]
         width = max(int(end.max()) for _, _, end in spans)
         stride = width + 24 if width % BLOCK == 0 else width

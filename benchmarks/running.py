@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ogm_client import MapClient, RobotPublisher
 from ogm_core.types import PlacedScan
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[1]
 STARTED, STOPPED, HANDLED = 60.0, 10.0, 60.0

@@ -141,14 +141,14 @@ def settings_of(
     work: Workload,
     *,
     cells: CellType = "int16",
-    sensor: SensorModel = "beam",
+    sensor_model: SensorModel = "beam",
     traversal: Traversal = "bresenham",
 ) -> GridSettings:
     """The settings of a map that takes the workload's scans."""
     return GridSettings(
         resolution=work.resolution,
-        model=LogOdds(cells),
-        sensor=sensor,
+        cell_model=LogOdds(cells),
+        sensor_model=sensor_model,
         traversal=traversal,
         alpha=work.alpha,
         clear_range=work.clear_range,

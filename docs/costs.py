@@ -166,7 +166,7 @@ def memory_curves() -> dict[str, Floats]:
 
 
 def _memory(scans: Iterable[PlacedScan]) -> tuple[int, float]:
-    grid = OccupancyGrid(GridSettings(sensor="sector", max_cells=ROOMY))
+    grid = OccupancyGrid(GridSettings(sensor_model="sector", max_cells=ROOMY))
     for scan, pose, _ in scans:
         grid.integrate(scan, pose)
     known = grid.snapshot().known_cells

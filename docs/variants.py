@@ -22,9 +22,9 @@ from ogm_core.simulation.worlds import lab
 
 PAGE = Path(__file__).with_name("variants.md")
 VARIANTS = {
-    "`beam`, `bresenham`": ["--model", "beam", "--traversal", "bresenham"],
-    "`beam`, `dda`": ["--model", "beam", "--traversal", "dda"],
-    "`sector`": ["--model", "sector"],
+    "`beam`, `bresenham`": ["--sensor-model", "beam", "--traversal", "bresenham"],
+    "`beam`, `dda`": ["--sensor-model", "beam", "--traversal", "dda"],
+    "`sector`": ["--sensor-model", "sector"],
 }
 BUILDINGS = {
     "intel": "intel/intel-corrected.log.gz",

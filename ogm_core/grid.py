@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Cells
+from ogm_core.cells.model import StoredCells
 from ogm_core.errors import LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.copies import TileCopies, copy_tiles, room_for
-from ogm_core.tiles.store import StripStore, tiles_met
-from ogm_core.tiles.view import Pictures, TiledCells
+from ogm_core.tiles.store import TileStore, tiles_met
+from ogm_core.tiles.view import Pictures, TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 
@@ -28,8 +28,8 @@ class OccupancyGrid:
     def __init__(self, settings: GridSettings, epoch: str = "") -> None:
         """Make an empty map; `epoch` is the id of its life until the next `reset`."""
         self.settings = settings
-        self.model = settings.model
-        self.lattice, self.bounds = settings.lattice()
+        self.model = settings.cell_model
+        self.lattice, self.bounds = settings.lattice, settings.bounds_rect
         self._copies: TileCopies | None = None
         self._pictures: Pictures = {}
         self.reset(epoch)
@@ -41,7 +41,7 @@ class OccupancyGrid:
         self.stamp: int | None = None
         self.cell_updates = 0
         self._known: CellRect | None = None
-        self._begin_store(StripStore(self.bounds or CellRect(0, 0, 0, 0), self.model.dtype))
+        self._begin_store(TileStore(self.bounds or CellRect(0, 0, 0, 0), self.model.dtype))
 
     @property
     def nbytes(self) -> int:
@@ -53,7 +53,7 @@ class OccupancyGrid:
         """What is served: the bounds, or else the smallest rectangle that holds every known cell."""
         return self.bounds or self._known or CellRect(0, 0, 0, 0)
 
-    def begin_with(self, cells: Cells) -> None:
+    def begin_with(self, cells: StoredCells) -> None:
         """Fill a map without bounds: `cells` are stored cells, [iy, ix], the first one (0, 0) of the lattice.
 
         The revision stays 0: it counts scans.
@@ -67,7 +67,7 @@ class OccupancyGrid:
             raise LimitReached(
                 f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
             )
-        store = StripStore(rect, self.model.dtype)
+        store = TileStore(rect, self.model.dtype)
         store.write(rect, cells)
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
@@ -109,7 +109,7 @@ class OccupancyGrid:
         """
         self._copies = copy_tiles(self._store, self.revision, self._copies, room)
         return MapSnapshot(
-            stored=TiledCells(self._copies, self.rect, self.model.dtype, self._pictures),
+            stored=TileView(self._copies, self.rect, self.model.dtype, self._pictures),
             model=self.model,
             lattice=self.lattice,
             offset=(self.rect.ix, self.rect.iy),
@@ -118,7 +118,7 @@ class OccupancyGrid:
             stamp=self.stamp,
         )
 
-    def _begin_store(self, store: StripStore) -> None:
+    def _begin_store(self, store: TileStore) -> None:
         """Take cells that have nothing to do with those of earlier snapshots."""
         self._store = store
         self._copies = None
@@ -142,11 +142,11 @@ class OccupancyGrid:
             store.take(self._store)
             self._store = store
         window = evidence.window(store, inside)
-        updates = evidence.update_cells(store, window, self.revision + 1, self.model.update)
+        updates = evidence.update_cells(store, window, self.revision + 1, self.model.constants)
         self._known = known
         return updates
 
-    def _check_bytes(self, store: StripStore, updated: CellRect, evidence: Evidence) -> None:
+    def _check_bytes(self, store: TileStore, updated: CellRect, evidence: Evidence) -> None:
         """Refuse a scan whose tiles would exceed `max_bytes`: first by a cheap bound, then exactly."""
         room = (self.settings.max_bytes - store.nbytes) // store.tile_bytes
         if tiles_met(updated) <= room or store.untouched_tiles(updated) <= room:

@@ -11,6 +11,7 @@ from ogm_core.lattice import CellRect, Lattice, Region, bounded
 
 Outside = Literal["clip", "drop"]
 SensorModel = Literal["beam", "sector"]
+CellModelName = Literal["log_odds"]
 Traversal = Literal["bresenham", "dda"]
 
 DEFAULT_MAX_CELLS = 100_000_000
@@ -21,8 +22,8 @@ DEFAULT_MAX_BYTES = 2 * 1024**3
 class GridSettings:
     """Settings of a map, checked against each other.
 
-    `model` is what a cell keeps, `sensor` how a scan is read: beam by beam along a `traversal`, or as
-    sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
+    `cell_model` is what a cell keeps, `sensor_model` how a scan is read: beam by beam along a `traversal`, or
+    as sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
     (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
     lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. `max_cells` limits
     the known rectangle, `max_bytes` what the map allocates.
@@ -32,8 +33,8 @@ class GridSettings:
     """
 
     resolution: float = 0.05
-    model: LogOdds = field(default_factory=LogOdds)
-    sensor: SensorModel = "beam"
+    cell_model: LogOdds = field(default_factory=LogOdds)
+    sensor_model: SensorModel = "beam"
     traversal: Traversal = "bresenham"
     alpha: float = 0.1
     reach: float | None = None
@@ -51,7 +52,7 @@ class GridSettings:
             raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
         if self.clear_range is not None and not self.clear_range >= 0.0:
             raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
-        _, rect = self.lattice()
+        rect = self.bounds_rect
         if rect is not None and rect.cells > self.max_cells:
             raise BadSetting(
                 f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
@@ -63,12 +64,18 @@ class GridSettings:
         clear_range = math.inf if self.clear_range is None else float(self.clear_range)
         return float(self.alpha), clear_range, math.inf if self.reach is None else float(self.reach)
 
-    def lattice(self) -> tuple[Lattice, CellRect | None]:
-        """The map's lattice, and the cells of its bounds if it has any."""
-        return self._lattice
+    @property
+    def lattice(self) -> Lattice:
+        """The map's lattice."""
+        return self._lattice_and_rect[0]
+
+    @property
+    def bounds_rect(self) -> CellRect | None:
+        """The cells of the map's bounds, if it has any."""
+        return self._lattice_and_rect[1]
 
     @cached_property
-    def _lattice(self) -> tuple[Lattice, CellRect | None]:
+    def _lattice_and_rect(self) -> tuple[Lattice, CellRect | None]:
         if self.bounds is None:
             return Lattice(self.resolution, self.anchor), None
         return bounded(self.resolution, self.bounds)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import OCCUPIED, trinary
-from ogm_core.cells.log_odds import Cells, Encoder, LogOdds
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.model import Encoder, StoredCells
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
 
@@ -19,10 +20,10 @@ class CellSource(Protocol):
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
 
-    def __getitem__(self, part: tuple[slice, slice]) -> Cells:
+    def __getitem__(self, part: tuple[slice, slice]) -> StoredCells:
         """The cells of some rows and columns."""
 
-    def dense(self) -> Cells:
+    def dense(self) -> StoredCells:
         """All of them."""
 
     def known_cells(self) -> int:
@@ -44,7 +45,7 @@ class MapSnapshot:
     Unix epoch, None if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
     """
 
-    stored: Cells | CellSource
+    stored: StoredCells | CellSource
     model: LogOdds
     lattice: Lattice
     offset: tuple[int, int]
@@ -54,7 +55,7 @@ class MapSnapshot:
     factor: int = 1
 
     @property
-    def cells(self) -> Cells:
+    def cells(self) -> StoredCells:
         """The stored cells as one array."""
         return self.stored if isinstance(self.stored, np.ndarray) else self.stored.dense()
 
@@ -155,7 +156,7 @@ class MapSnapshot:
         return Region(*self.origin, *self.lattice.corner_of(ix + width, iy + height))
 
 
-def _blocks(model: LogOdds, cells: Cells, factor: int) -> Cells:
+def _blocks(model: LogOdds, cells: StoredCells, factor: int) -> StoredCells:
     """One stored cell per block. Stored cells grow with their probability, so they are compared as stored."""
     least, most = _ends(cells.dtype)
     known = model.known(cells)
@@ -174,12 +175,12 @@ def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:
     return dtype.type(limits.min), dtype.type(limits.max)
 
 
-def _pooled(extreme: np.ufunc, cells: Cells, factor: int) -> Cells:
+def _pooled(extreme: np.ufunc, cells: StoredCells, factor: int) -> StoredCells:
     """The `extreme` of every block of `factor` x `factor` cells; the last ones may be smaller."""
     return _pooled_rows(extreme, _pooled_rows(extreme, cells, factor).T, factor).T
 
 
-def _pooled_rows(extreme: np.ufunc, cells: Cells, factor: int) -> Cells:
+def _pooled_rows(extreme: np.ufunc, cells: StoredCells, factor: int) -> StoredCells:
     # One pass over whole rows per row of a block: five times faster than reduceat or a 4-D reshape.
     pooled = cells[::factor].copy(order="K")
     for row in range(1, min(factor, len(cells))):

@@ -1,10 +1,13 @@
 """A mapper whose calls to its sink are recorded, and whose books are checked at every message."""
 
+import logging
+
 import numpy as np
 
+from ogm_core.placing.receipts import DROP_REASONS, Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan
-from ogm_services.mapper.ledger import DROP_REASONS, Ledger
-from ogm_services.mapper.mapper import Mapper
+from ogm_services.runtime.limited_log import LimitedLog
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -32,13 +35,14 @@ class Desk:
 
     def __init__(self, sink=None):
         self.sink = sink or Sink()
-        self.ledger = Ledger()
-        self.mapper = Mapper(self.sink, self.ledger)
+        self.receipts = Receipts()
+        self.complaints = LimitedLog(logging.getLogger(__name__))
+        self.mapper = ScanPlacer(self.sink, self.receipts, self.complaints.warning)
         self.received = 0
 
     def pose(self, ms, pose=None, *, run="", robot="r"):
         pose = Pose(ms / 1000, 0.0, 0.0) if pose is None else pose
-        self.ledger.pose_received(robot)
+        self.receipts.pose_received(robot)
         self.mapper.add_pose(robot, PoseStamped(T0 + round(ms * MS), pose, run=run))
         self.check()
         return self
@@ -48,14 +52,14 @@ class Desk:
         seq = self.received if seq is None else seq
         scan = Scan(T0 + round(ms * MS), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
         self.received += 1
-        self.ledger.scan_received(robot, sensor)
+        self.receipts.scan_received(robot, sensor)
         self.mapper.add_scan(robot, sensor, scan)
         self.check()
         return self
 
     def check(self):
         """received = integrated + pending + dropped, and pending is what waits."""
-        scans = self.ledger.status()["scans"]
+        scans = self.receipts.status()["scans"]
         assert scans["received"] == self.received
         assert scans["integrated"] == len(self.sink.placed)
         assert scans["pending"] == self.received - len(self.sink.placed) - sum(scans["dropped"].values()) >= 0
@@ -74,10 +78,10 @@ class Desk:
     @property
     def dropped(self):
         """The reasons that any scan was dropped for, with counts."""
-        counts = self.ledger.status()["scans"]["dropped"]
+        counts = self.receipts.status()["scans"]["dropped"]
         assert tuple(counts) == DROP_REASONS
         return {reason: count for reason, count in counts.items() if count}
 
     @property
     def pending(self):
-        return self.ledger.status()["scans"]["pending"]
+        return self.receipts.status()["scans"]["pending"]

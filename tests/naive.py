@@ -58,7 +58,7 @@ def observations(scan, pose, *, resolution, anchor=(0.0, 0.0), alpha, clear_rang
 
 def observed(scan, pose, settings):
     """The observations of a scan in a map with these settings."""
-    lattice, _ = settings.lattice()
+    lattice = settings.lattice
     return observations(
         scan,
         pose,
@@ -84,8 +84,8 @@ class Map:
     """A dictionary from cell to log odds: float64, or whole steps relative to the prior for int16."""
 
     def __init__(self, settings):
-        self.settings, model = settings, settings.model
-        self.lattice, self.bounds = settings.lattice()
+        self.settings, model = settings, settings.cell_model
+        self.lattice, self.bounds = settings.lattice, settings.bounds_rect
         self.l0 = logit(model.p_prior)
         self.cells = {}
         d_free, d_occ = logit(model.p_free) - self.l0, logit(model.p_occ) - self.l0
@@ -221,7 +221,7 @@ def sector_class(dx, dy, theta, bearings, half, kinds, lengths, alpha):
 
 
 def stored(store, rect):
-    """The stored cells of a rectangle inside a StripStore, by each one's address; shape (height, width)."""
+    """The stored cells of a rectangle inside a TileStore, by each one's address; shape (height, width)."""
     i = rect.ix - store.rect.ix + np.arange(rect.width)
     j = rect.iy - store.rect.iy + np.arange(rect.height)
     return store.cells[store.column[i] + 64 * j[:, None]]

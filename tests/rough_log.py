@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from ogm_core.logs.recordings import RecordedPose, RecordedScan, write_jsonl
+from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
 from ogm_core.simulation.trajectories import CirclePath
-from ogm_core.simulation.worlds import world_named
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 
 MS = 1_000_000

@@ -22,9 +22,9 @@ def write_workload(work: Workload, path: Path) -> CellRect:
     if any(kind_of(placed) != kind_of(work.scans[0]) for placed in work.scans):
         raise BadParameter(f"workload {work.name}: its scans differ in beams, angles or limits")
     settings = settings_of(work, cells="float64")
-    lattice, bounds = settings.lattice()
+    lattice, bounds = settings.lattice, settings.bounds_rect
     rect = bounds or cells_in_reach(work, lattice)
-    model = settings.model
+    model = settings.cell_model
     clear_range = math.inf if work.clear_range is None else work.clear_range
     header = [work.resolution, first.range_min, first.range_max, work.alpha, clear_range]
     header += [first.angle_min, first.angle_increment, *lattice.anchor, *rect, work.outside == "drop"]

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ogm_client.notebook import html_of
 from ogm_client.raycast import Ray, RayCaster, Rays
 from ogm_core.cells.classes import trinary
-from ogm_core.cells.log_odds import Cells, LogOdds, probability_of
+from ogm_core.cells.log_odds import LogOdds, probability_of
+from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
 from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
 from ogm_core.lattice import Lattice, Region
@@ -215,7 +216,7 @@ class MapGrid:
         exact = self.log_odds.astype(np.float64)
         return self._snapshot_of(np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0))
 
-    def _snapshot_of(self, cells: Cells) -> MapSnapshot:
+    def _snapshot_of(self, cells: StoredCells) -> MapSnapshot:
         model = LogOdds(cells="float64")
         return MapSnapshot(cells, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
 

@@ -4,6 +4,7 @@ import base64
 import math
 
 from ogm_core.files.map_files import encode_png
+from ogm_core.pictures.scale_bar import round_length
 from ogm_core.snapshot import MapSnapshot
 
 LARGEST = 800
@@ -27,13 +28,6 @@ def html_of(snap: MapSnapshot) -> str:
     if snap.empty:
         return f'<div style="{_STYLE}">MapGrid: the map has no known cell yet, revision {snap.revision}</div>'
     return f'<div style="{_STYLE}">{_picture(snap)}<div>{_caption(snap)}</div></div>'
-
-
-def round_length(length: float) -> float:
-    """The number 1, 2 or 5 times a power of ten that comes nearest to `length`, by ratio."""
-    exponent = math.floor(math.log10(length))
-    choices = [float(f"{digit}e{exponent}") for digit in (1, 2, 5, 10)]
-    return min(choices, key=lambda choice: abs(math.log(choice / length)))
 
 
 def _picture(snap: MapSnapshot) -> str:

@@ -1,13 +1,15 @@
 """What a cell's probability becomes when it is served: element by element, from (probability, known).
 
-Every encoder here is a `log_odds.Encoder`: hand it to `LogOdds.encode` for stored cells, or call it
+Every encoder here is a `model.Encoder`: hand it to `LogOdds.encode` for stored cells, or call it
 with two arrays of one shape.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE
+OCCUPIED_ABOVE = 0.65
+FREE_BELOW = 0.196
+"""Probabilities beyond which a cell counts as occupied, or as free; nav2 map_server's thresholds."""
 
 OCCUPIED = 100
 FREE = 0

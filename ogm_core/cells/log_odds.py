@@ -14,7 +14,7 @@ Two storage forms, both with a stored 0 for "never updated", so that untouched m
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -22,23 +22,18 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.model import Encoder, StoredCells
 from ogm_core.errors import BadSetting
 
 CellType = Literal["int16", "float64"]
-Cells = NDArray[Any]
-"""Stored cells: int16 or float64, any shape."""
-Encoder = Callable[[NDArray[np.float64], NDArray[np.bool_]], NDArray[Any]]
-"""From (probability, known) of cells to what is served of them, element by element."""
 
 P_EDGE = 1e-9
 """Probabilities are clipped to [1e-9, 1 - 1e-9] before the logit is taken."""
 FULL_SCALE = 16383
 _BAND_CELLS = 2**18
-OCCUPIED_ABOVE = 0.65
-FREE_BELOW = 0.196
 
 
-class Update(NamedTuple):
+class CellConstants(NamedTuple):
     """What the kernels need of the model, in stored units.
 
     `free` and `occupied` are the increments, `lower` and `upper` the clamps, `prior` the value that a cell
@@ -122,37 +117,37 @@ class LogOdds:
         return np.dtype(self.cells)
 
     @cached_property
-    def update(self) -> Update:
+    def constants(self) -> CellConstants:
         """Increments, clamps and prior in stored units."""
         if self.cells == "float64":
-            return Update(self.d_free, self.d_occ, float(self.l_min), float(self.l_max), self.l0)
+            return CellConstants(self.d_free, self.d_occ, float(self.l_min), float(self.l_max), self.l0)
         lower, upper = self._clamps_in_steps
         span = upper - lower
         free = max(round(self.d_free / self.step), -span)
         occupied = min(round(self.d_occ / self.step), span)
-        return Update(2 * free, 2 * occupied, 2 * lower or 1, 2 * upper, 0)
+        return CellConstants(2 * free, 2 * occupied, 2 * lower or 1, 2 * upper, 0)
 
     @property
     def _clamps_in_steps(self) -> tuple[int, int]:
         return round((self.l_min - self.l0) / self.step), round((self.l_max - self.l0) / self.step)
 
-    def known(self, cells: Cells) -> NDArray[np.bool_]:
+    def known(self, cells: StoredCells) -> NDArray[np.bool_]:
         """Which cells were ever updated."""
         if cells.dtype == np.float64:
             return np.not_equal(cells.view(np.int64), 0)
         return np.not_equal(cells, 0)
 
-    def log_odds(self, cells: Cells) -> NDArray[np.float64]:
+    def log_odds(self, cells: StoredCells) -> NDArray[np.float64]:
         """Log odds of the cells, the prior's where unknown; float64."""
         if cells.dtype == np.float64:
             return np.where(self.known(cells), cells + 0.0, self.l0)
         return self.l0 + (cells >> 1).astype(np.float64) * self.step
 
-    def probability(self, cells: Cells) -> NDArray[np.float64]:
+    def probability(self, cells: StoredCells) -> NDArray[np.float64]:
         """Probability of "occupied", the prior's where unknown; float64."""
         return probability_of(self.log_odds(cells))
 
-    def store(self, log_odds: NDArray[np.float64], known: NDArray[np.bool_]) -> Cells:
+    def store(self, log_odds: NDArray[np.float64], known: NDArray[np.bool_]) -> StoredCells:
         """Cells of these log odds, cut off at the clamps, 0 where not known; shapes as given."""
         if self.cells == "float64":
             clamped = np.clip(log_odds, self.l_min, self.l_max)
@@ -164,7 +159,7 @@ class LogOdds:
         """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
         return _table(self, encoder)
 
-    def encode(self, cells: Cells, encoder: Encoder) -> NDArray[Any]:
+    def encode(self, cells: StoredCells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
         encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
         for band in row_bands(cells):
@@ -183,7 +178,7 @@ def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
     return encoder(model.probability(every), model.known(every))
 
 
-def row_bands(cells: Cells) -> Iterator[slice]:
+def row_bands(cells: StoredCells) -> Iterator[slice]:
     """Slices of rows, about 2^18 cells each: few enough to stay in the processor's cache."""
     rows = max(1, _BAND_CELLS // max(1, cells[:1].size))
     for first in range(0, len(cells), rows):

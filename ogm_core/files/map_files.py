@@ -13,7 +13,8 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import Known, Probability, percent, probability_grey, ros_grey, trinary
-from ogm_core.cells.log_odds import Encoder, row_bands
+from ogm_core.cells.log_odds import row_bands
+from ogm_core.cells.model import Encoder
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_core.pictures.png import write_png

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile, UnidentifiedImageError
 
-from ogm_core.cells.classes import FREE, OCCUPIED, UNKNOWN
-from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.classes import FREE, FREE_BELOW, OCCUPIED, OCCUPIED_ABOVE, UNKNOWN
 from ogm_core.errors import BadMapFile, BadSetting
 from ogm_core.files.strict_yaml import parse_yaml, shown
 from ogm_core.lattice import Lattice

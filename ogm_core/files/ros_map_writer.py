@@ -5,7 +5,7 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 
 
 def write_pgm(grey: NDArray[np.uint8]) -> bytes:

@@ -34,7 +34,7 @@ _ROOM = 4
 """The pool has room for so many times the bits of its first picture; when it is full, all is coded anew."""
 
 
-class TilePicture:
+class MapPicture:
     """The picture of a map's tiles in one palette, at the revision of whoever asked last.
 
     Who owns what: all of it belongs to the caller of `png`, one at a time.
@@ -59,7 +59,7 @@ class TilePicture:
         with self._lock:
             if tiles.revision < self._revision:
                 # A snapshot that is older than what is drawn is drawn for itself.
-                return TilePicture(self._greys).png(tiles, rect)
+                return MapPicture(self._greys).png(tiles, rect)
             self._draw(tiles)
             north, south = (rect.iy + rect.height - 1) // TILE, rect.iy // TILE
             strips = [self._strip(rect, ty) for ty in range(north, south - 1, -1)]

@@ -10,7 +10,7 @@ from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED, BeamModel, classify
 from ogm_core.sensor_models.bresenham import FRACTION_BITS, clipped_line, counted_from
 
-FREE, UNDECIDED, OCCUPIED = 1, 2, 3
+BELIEF_FREE, BELIEF_UNDECIDED, BELIEF_OCCUPIED = 1, 2, 3
 """Beliefs about a cell; 0 is unknown."""
 FOUND_WALL, FOUND_NOTHING, FOUND_UNKNOWN = 0, 1, 2
 """Where a cast ray ends."""
@@ -39,10 +39,10 @@ def agreement(
             i, j = (i0 + si * k, j0 + sj * aside) if along_i else (i0 + si * aside, j0 + sj * k)
             if k == major and beams[2, b] == HIT:
                 hits += 1
-                occupied += beliefs[j, i] == OCCUPIED
+                occupied += beliefs[j, i] == BELIEF_OCCUPIED
             else:
                 passed += 1
-                free += beliefs[j, i] == FREE
+                free += beliefs[j, i] == BELIEF_FREE
     return hits, occupied, passed, free
 
 
@@ -74,9 +74,9 @@ def cast_ray(
             next_v = (j + (sj > 0) - v) / dv
         if distance > longest:
             return FOUND_NOTHING, longest
-        if not (0 <= i < width and 0 <= j < height) or beliefs[j, i] in (0, UNDECIDED):
+        if not (0 <= i < width and 0 <= j < height) or beliefs[j, i] in (0, BELIEF_UNDECIDED):
             return FOUND_UNKNOWN, distance
-        if beliefs[j, i] == OCCUPIED:
+        if beliefs[j, i] == BELIEF_OCCUPIED:
             return FOUND_WALL, distance
 
 

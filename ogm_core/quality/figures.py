@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE, row_bands
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.log_odds import row_bands
 from ogm_core.grid_settings import GridSettings
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import beams
@@ -55,16 +56,16 @@ class Consistency:
         self._settings = settings
         self._snapshot = snapshot
         self._beliefs = snapshot.model.encode(snapshot.cells, _side_of_half)
-        self._dropping = settings.lattice()[1] if settings.outside == "drop" else None
+        self._dropping = settings.bounds_rect if settings.outside == "drop" else None
         """The bounds, if beams that leave them are not in the map."""
         self._counts = np.zeros(4, np.int64)
 
     def add(self, placed: PlacedScan) -> None:
         """Judge a scan that was integrated."""
-        cells = project(placed, self._snapshot.lattice, self._settings).cells
+        ends = project(placed, self._snapshot.lattice, self._settings).ends
         if self._dropping is not None:
-            beams.drop_outside(cells, *self._dropping)
-        self._counts += agreement.agreement(cells, self._snapshot.rect, self._beliefs)
+            beams.drop_outside(ends, *self._dropping)
+        self._counts += agreement.agreement(ends, self._snapshot.rect, self._beliefs)
 
     def figures(self) -> dict[str, float | None]:
         """The shares, None where nothing was judged."""
@@ -121,16 +122,20 @@ def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    sides = np.where(p > 0.5, agreement.OCCUPIED, np.where(p < 0.5, agreement.FREE, agreement.UNDECIDED))
+    sides = np.where(
+        p > 0.5,
+        agreement.BELIEF_OCCUPIED,
+        np.where(p < 0.5, agreement.BELIEF_FREE, agreement.BELIEF_UNDECIDED),
+    )
     return np.where(known, sides, 0).astype(np.uint8)
 
 
 def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
-    beliefs = np.full(snapshot.cells.shape, agreement.UNDECIDED, np.uint8)
+    beliefs = np.full(snapshot.cells.shape, agreement.BELIEF_UNDECIDED, np.uint8)
     for band in row_bands(beliefs):
         evidence = snapshot.model.log_odds(snapshot.cells[band]) - snapshot.model.l0
-        beliefs[band][evidence > DECIDED] = agreement.OCCUPIED
-        beliefs[band][evidence < -DECIDED] = agreement.FREE
+        beliefs[band][evidence > DECIDED] = agreement.BELIEF_OCCUPIED
+        beliefs[band][evidence < -DECIDED] = agreement.BELIEF_FREE
     return beliefs
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import OCCUPIED_ABOVE, P_EDGE, row_bands
+from ogm_core.cells.classes import OCCUPIED_ABOVE
+from ogm_core.cells.log_odds import P_EDGE, row_bands
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot

@@ -1,6 +1,6 @@
-"""Sensor model `sector`: every cell whose centre a scan sees, once, row by row.
+"""Scanline fill of the visible area: every cell whose centre a scan sees, once (sensor model `sector`).
 
-The scan is a star (area_outline): an inner outline, up to which it saw free space, and an outer one, up to
+The scan has two outlines (area_outline): an inner one, up to which it saw free space, and an outer one, up to
 which it saw an obstacle. Both are closed curves of radial edges and arcs. Going round the sensor by angle,
 every row of cell centres above the sensor meets the outlines from right to left, and every row below it from
 left to right, so nothing need be sorted: a row remembers where it met an outline last and which outlines it
@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.area_outline import Fan, Rays, turned
 from ogm_core.sensor_models.beams import BeamModel, Plain
-from ogm_core.sensor_models.spans import FREE, OCCUPIED
+from ogm_core.sensor_models.spans import SPAN_FREE, SPAN_OCCUPIED
 
 # The classes of a span are also the bits of the outlines that a row is inside of: inner and outer.
-assert (FREE, OCCUPIED) == (1, 2)
+assert (SPAN_FREE, SPAN_OCCUPIED) == (1, 2)
 _FLAT = 1e-300
 _FAR = 2**30
 _ROOM = 4096
@@ -73,7 +73,7 @@ def see(
     window: Plain,
     max_cells: int,
 ) -> tuple[bool, NDArray[np.int32]]:
-    """The spans of a scan's star in the `window`, or, if that has no width, in a rectangle around the star.
+    """The spans of a scan's outlines in the `window`, or, if that has no width, in a rectangle around them.
 
     The latter is not looked at if it has more than `max_cells`; returns whether it was, too. `beam`, `fan`
     and `window` are the contents of a BeamModel, a Fan and a CellRect; `place` is the sensor's heading and
@@ -103,7 +103,7 @@ def _ends_of(rays: Rays, fv: float) -> NDArray[np.float64]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _edges(rows: NDArray[np.float64], quarters: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The star's edges that some row meets, in the order in which the rows meet them; `rows` of `_ends_of`.
+    """Edges of the outlines that some row meets, in the order in which rows meet them; `rows` of `_ends_of`.
 
     At every ray both outlines step to the radii from there on, then they follow their arcs to the next one.
     An edge is 4 r + 2 outline + (1 if it is such a step, along the ray). It is written in any case and kept
@@ -203,7 +203,7 @@ def _sweep(
             inside[at] = state ^ toggled
             met[at] = here
             if state and here != before:
-                found[n, 0], found[n, 3] = row, 2 - (state & FREE)
+                found[n, 0], found[n, 3] = row, 2 - (state & SPAN_FREE)
                 found[n, 1], found[n, 2] = min(here, before), max(here, before)
                 n += 1
         k += 1

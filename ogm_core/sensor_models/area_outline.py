@@ -1,8 +1,10 @@
-"""A scan as the area that its beams see: a star around the sensor, for the sensor model `sector`.
+"""Outline of the area that a scan sees, for the sensor model `sector`.
+
+It is star-shaped, as geometry calls a polygon that is seen whole from one point: the sensor.
 
 Every beam stands for the directions that are nearer to it than to any other beam, and no farther from it than
-half an increment. Going round the sensor once, counter-clockwise from the x axis, each ray of the star says
-how far the scan saw from there on to the next ray:
+half an increment. Going round the sensor once, counter-clockwise from the x axis, each ray of the outline
+says how far the scan saw from there on to the next ray:
 
     inner radius    everything nearer was free
     outer radius    everything between inner and outer is occupied
@@ -11,7 +13,7 @@ Both are equal where nothing was hit, and 0 where nothing was seen. Rays along t
 so that between two rays an arc never turns back. Lengths are in cells.
 
 Where the rays lie in the sensor's frame depends on the beams' bearings alone, so that is worked out once for
-all scans of a sensor: its fan. The sensor's heading turns the fan, and the ranges make a star of it.
+all scans of a sensor: its fan. The sensor's heading turns the fan, and the ranges make an outline of it.
 """
 
 import math
@@ -91,7 +93,7 @@ def turned(
     heading: float,
     resolution: float,
 ) -> tuple[Rays, NDArray[np.int64]]:
-    """The star of a scan: its rays in one round from the x axis on, and where each quadrant's begin and end.
+    """Outline of a scan: its rays in one round from the x axis on, and where each quadrant's begin and end.
 
     Those of quadrant q are rays[:, quarters[q] : quarters[q + 1]]: the axis and the fan's rays in it; all of
     the fan's have been laid when the last quadrant ends. `heading`, rad, in [-pi, pi], is the

@@ -14,6 +14,8 @@ from ogm_core.lattice import MAX_INDEX
 
 SKIPPED, NO_RETURN, HIT = 0, 1, 2
 """Kinds of beam: no evidence; saw nothing up to its free length; ended on something."""
+IX, IY, KIND, IX0, IY0 = range(5)
+"""Rows of a scan's `ends`: the end cell, the kind, the start cell (see projection.Beams)."""
 _CLOSE = 4
 """Added to the kind of a beam that ends too close to a cell's edge for quick arithmetic."""
 _USEFUL = 1e-3
@@ -39,7 +41,7 @@ class BeamModel(NamedTuple):
     reach: float
 
 
-class Cells(NamedTuple):
+class LatticeParams(NamedTuple):
     """A lattice as the kernels know it: its anchor and resolution, m."""
 
     anchor_x: float
@@ -74,7 +76,7 @@ def reading(r: float, beam: BeamModel) -> tuple[bool, bool, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _end_of(
-    k: int, length: float, x: float, y: float, theta: float, beam: BeamModel, lattice: Cells
+    k: int, length: float, x: float, y: float, theta: float, beam: BeamModel, lattice: LatticeParams
 ) -> tuple[bool, float, float]:
     """Whether the end point of beam `k` can be addressed, and where it lies, in cells from the anchor.
 
@@ -89,7 +91,7 @@ def _end_of(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _addressed(x: float, y: float, lattice: Cells) -> bool:
+def _addressed(x: float, y: float, lattice: LatticeParams) -> bool:
     """Whether a point, m, lies in a cell that can be addressed."""
     u, v = (x - lattice.anchor_x) / lattice.resolution, (y - lattice.anchor_y) / lattice.resolution
     return abs(u) < MAX_INDEX and abs(v) < MAX_INDEX
@@ -109,17 +111,17 @@ def project(
     beam: Plain,
     sensor: NDArray[np.float64],
     lattice: Plain,
-    cells: NDArray[np.int64],
+    ends: NDArray[np.int64],
     lines: NDArray[np.float64],
 ) -> bool:
-    """Project every beam of a scan onto a lattice: write `cells` and `lines`, see projection.Beams.
+    """Project every beam of a scan onto a lattice: write `ends` and `lines`, see projection.Beams.
 
     `sensor` holds the sensor's poses in the map frame: shape (1, 3), or (N, 3) with one a beam; `beam` and
-    `lattice` are the contents of a BeamModel and of Cells. Lines are written if there is room for them.
-    Returns whether the sensor and every end cell can be addressed. A skipped beam's end cell is (0, 0).
+    `lattice` are the contents of a BeamModel and of LatticeParams. Lines are written if there is room for
+    them. Returns whether the sensor and every end cell can be addressed. A skipped beam's end cell is (0, 0).
     """
-    beam, lattice = BeamModel(*beam), Cells(*lattice)
-    cells[:] = 0
+    beam, lattice = BeamModel(*beam), LatticeParams(*lattice)
+    ends[:] = 0
     lines[:] = 0.0
     if not _addressed(sensor[0, 0], sensor[0, 1], lattice):
         return False
@@ -133,9 +135,9 @@ def project(
         addressed, u, v = _end_of(k, length, sensor[p, 0], sensor[p, 1], sensor[p, 2], beam, lattice)
         if not (addressed and abs(u0) < MAX_INDEX and abs(v0) < MAX_INDEX):
             return False
-        cells[0, k], cells[1, k] = math.floor(u), math.floor(v)
-        cells[2, k] = kind
-        cells[3, k], cells[4, k] = math.floor(u0), math.floor(v0)
+        ends[IX, k], ends[IY, k] = math.floor(u), math.floor(v)
+        ends[KIND, k] = kind
+        ends[IX0, k], ends[IY0, k] = math.floor(u0), math.floor(v0)
         if lines.size:
             _draw(lines, k, u0, v0, u, v)
     return True
@@ -147,7 +149,7 @@ def project_turned(
     beam: Plain,
     sensor: Plain,
     lattice: Plain,
-    cells: NDArray[np.int64],
+    ends: NDArray[np.int64],
     lines: NDArray[np.float64],
     directions: NDArray[np.float64],
 ) -> bool:
@@ -158,13 +160,13 @@ def project_turned(
     many beams at once. How far rounding can move a point is known; where that could reach another cell,
     `_end_of` decides.
     """
-    model, onto = BeamModel(*beam), Cells(*lattice)
+    model, onto = BeamModel(*beam), LatticeParams(*lattice)
     n, exact = ranges.size, lines.size > 0
     x, y, theta = sensor
     u0, v0 = (x - onto.anchor_x) / onto.resolution, (y - onto.anchor_y) / onto.resolution
     slack = _rounding(n, abs(x) + abs(y), theta, model, onto)
     if not slack < _USEFUL:
-        return bool(project(ranges, beam, np.array([[x, y, theta]]), lattice, cells, lines))
+        return bool(project(ranges, beam, np.array([[x, y, theta]]), lattice, ends, lines))
     i0, j0 = math.floor(u0), math.floor(v0)
     fu, fv = u0 - i0, v0 - j0
     c, s = math.cos(theta) / onto.resolution, math.sin(theta) / onto.resolution
@@ -177,19 +179,19 @@ def project_turned(
         edge = min(min(u - iu, iu + 1.0 - u), min(v - iv, iv + 1.0 - v))
         close = counts & (edge < slack)
         close_calls += int(close)
-        cells[0, k] = i0 + np.int32(iu) if counts else 0
-        cells[1, k] = j0 + np.int32(iv) if counts else 0
-        cells[2, k] = int(counts) + int(hit) + (_CLOSE if close else 0)
-        cells[3, k] = i0 if counts else 0
-        cells[4, k] = j0 if counts else 0
+        ends[IX, k] = i0 + np.int32(iu) if counts else 0
+        ends[IY, k] = j0 + np.int32(iv) if counts else 0
+        ends[KIND, k] = int(counts) + int(hit) + (_CLOSE if close else 0)
+        ends[IX0, k] = i0 if counts else 0
+        ends[IY0, k] = j0 if counts else 0
     if exact:
         _draw_turned(lines, ranges, model, directions, fu, fv, c, s)
     if close_calls:
         for k in range(n):
-            if cells[2, k] & _CLOSE:
+            if ends[KIND, k] & _CLOSE:
                 kind, length = classify(float(ranges[k]), model)
                 _, u, v = _end_of(k, length, x, y, theta, model, onto)
-                cells[0, k], cells[1, k], cells[2, k] = math.floor(u), math.floor(v), kind
+                ends[IX, k], ends[IY, k], ends[KIND, k] = math.floor(u), math.floor(v), kind
                 if exact:  # a line must lead to its beam's end cell, be that beyond an edge by rounding only
                     _draw(lines, k, u0, v0, u, v)
     return True
@@ -220,7 +222,7 @@ def _draw_turned(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Cells) -> float:
+def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: LatticeParams) -> float:
     """By how many cells rounding moves an end point at most, in `project` and `project_turned` together.
 
     A sum of angles or coordinates is off by its largest part times 2^-53; there are fewer than 16 such steps.
@@ -233,19 +235,19 @@ def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Cells
 
 
 @njit(cache=True, error_model="numpy")
-def drop_outside(beams: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
+def drop_outside(ends: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
     """Skip the beams whose start or end cell lies outside a rectangle of cells.
 
     Changes the kinds in `beams`, shape (5, N). Returns how many counted before, and how many were dropped.
     """
     counted = 0
     dropped = 0
-    for k in range(beams.shape[1]):
-        if beams[2, k] == SKIPPED:
+    for k in range(ends.shape[1]):
+        if ends[KIND, k] == SKIPPED:
             continue
         counted += 1
-        starts_inside = ix <= beams[3, k] < ix + width and iy <= beams[4, k] < iy + height
-        if not (starts_inside and ix <= beams[0, k] < ix + width and iy <= beams[1, k] < iy + height):
-            beams[2, k] = SKIPPED
+        starts_inside = ix <= ends[IX0, k] < ix + width and iy <= ends[IY0, k] < iy + height
+        if not (starts_inside and ix <= ends[IX, k] < ix + width and iy <= ends[IY, k] < iy + height):
+            ends[KIND, k] = SKIPPED
             dropped += 1
     return counted, dropped

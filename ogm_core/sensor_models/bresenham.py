@@ -11,8 +11,8 @@ s(k) = acc(k) >> 42 is exact for every M below 2^20.5: the rounding errors add u
 no s(k) is nearer than 1 / (2 M) to the next integer without being one. Shifts and adds need no branch per
 cell, and k need not begin at 1, so a beam that is clipped at a map's bounds costs only the cells inside.
 
-Cells are addressed as in tiles.store: address(i, j) = column[i] + 64 j. `beams` are the rows of
-projection.Beams.cells, shape (5, N); `window` and `update` the contents of a CellRect and an Update.
+Cells are addressed as in tiles.store: address(i, j) = column[i] + 64 j. `ends` is that of
+projection.Beams; `window` and `constants` are the contents of a CellRect and of CellConstants.
 """
 
 from typing import Any
@@ -21,10 +21,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Update
+from ogm_core.cells.log_odds import CellConstants
 from ogm_core.cells.updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models.beams import HIT, SKIPPED, Plain
+from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.tiles.marks import touch, touch_rows
 from ogm_core.tiles.store import TILE, TILE_BITS
 
@@ -90,9 +90,14 @@ def clip(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def counted_from(window: CellRect, beams: NDArray[np.int64], b: int) -> tuple[int, int, int, int]:
+def counted_from(window: CellRect, ends: NDArray[np.int64], b: int) -> tuple[int, int, int, int]:
     """Start and end cell of beam `b`, counted from the window's lower-left cell."""
-    return beams[3, b] - window.ix, beams[4, b] - window.iy, beams[0, b] - window.ix, beams[1, b] - window.iy
+    return (
+        ends[IX0, b] - window.ix,
+        ends[IY0, b] - window.iy,
+        ends[IX, b] - window.ix,
+        ends[IY, b] - window.iy,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -131,27 +136,27 @@ def signed(bias: int, step: int, sign: int) -> tuple[int, int]:
 
 
 @njit(cache=True, error_model="numpy")
-def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
+def extent(ends: NDArray[np.int64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
 
     A line is monotone in both axes, so its first and last cells span it. Width is 0 if nothing is updated.
     """
     imin = jmin = 2**62
     imax = jmax = -(2**62)
-    for k in range(beams.shape[1]):
-        i0, j0 = beams[3, k], beams[4, k]
-        di, dj = beams[0, k] - i0, beams[1, k] - j0
+    for k in range(ends.shape[1]):
+        i0, j0 = ends[IX0, k], ends[IY0, k]
+        di, dj = ends[IX, k] - i0, ends[IY, k] - j0
         major, minor = max(abs(di), abs(dj)), min(abs(di), abs(dj))
-        if beams[2, k] == SKIPPED or major == 0:
+        if ends[KIND, k] == SKIPPED or major == 0:
             continue
         aside = int(2 * minor > major)  # s(1) = floor((2 m + M - 1) / (2 M))
         ahead_i, ahead_j = (1, aside) if abs(di) >= abs(dj) else (aside, 1)
         first_i = i0 + (ahead_i if di > 0 else -ahead_i)
         first_j = j0 + (ahead_j if dj > 0 else -ahead_j)
-        imin = min(imin, first_i, beams[0, k])
-        imax = max(imax, first_i, beams[0, k])
-        jmin = min(jmin, first_j, beams[1, k])
-        jmax = max(jmax, first_j, beams[1, k])
+        imin = min(imin, first_i, ends[IX, k])
+        imax = max(imax, first_i, ends[IX, k])
+        jmin = min(jmin, first_j, ends[IY, k])
+        jmax = max(jmax, first_j, ends[IY, k])
     if imax < imin:
         return 0, 0, 0, 0
     return imin, jmin, imax - imin + 1, jmax - jmin + 1
@@ -159,7 +164,7 @@ def extent(beams: NDArray[np.int64]) -> tuple[int, int, int, int]:
 
 @njit(cache=True, error_model="numpy")
 def touch_tiles(
-    beams: NDArray[np.int64],
+    ends: NDArray[np.int64],
     window: Plain,
     touched: NDArray[np.int64],
     revision: int,
@@ -171,10 +176,10 @@ def touch_tiles(
     """
     window = CellRect(*window)
     fresh = 0
-    for b in range(beams.shape[1]):
-        if beams[2, b] == SKIPPED:
+    for b in range(ends.shape[1]):
+        if ends[KIND, b] == SKIPPED:
             continue
-        i0, j0, i1, j1 = counted_from(window, beams, b)
+        i0, j0, i1, j1 = counted_from(window, ends, b)
         along_i, si, sj, _, bias, step, k, last = clipped_line(i0, j0, i1, j1, window.width, window.height)
         start, sign, aside, sign_aside = (i0, si, j0, sj) if along_i else (j0, sj, i0, si)
         while k <= last:
@@ -197,13 +202,13 @@ def last_in_strip(k: int, last: int, left: int, bias: int, step: int, bits: int)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_cells(
-    beams: NDArray[np.int64],
+    ends: NDArray[np.int64],
     window: Plain,
     touched: NDArray[np.int64],
     revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Plain,
+    constants: Plain,
 ) -> tuple[int, int]:
     """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
@@ -214,19 +219,19 @@ def update_cells(
     added. A line is cut at the edges of the strips: within one, where j is the major axis, the address of its
     cells is a fixed-point number itself, and one addition a cell is enough.
     """
-    window, update = CellRect(*window), Update(*update)
+    window, constants = CellRect(*window), CellConstants(*constants)
     updates = fresh = 0
-    for b in range(beams.shape[1]):
-        if beams[2, b] == SKIPPED:
+    for b in range(ends.shape[1]):
+        if ends[KIND, b] == SKIPPED:
             continue
-        i0, j0, i1, j1 = counted_from(window, beams, b)
+        i0, j0, i1, j1 = counted_from(window, ends, b)
         along_i, si, sj, major, bias, step, first, last = clipped_line(
             i0, j0, i1, j1, window.width, window.height
         )
         if first > last:
             continue
         updates += last - first + 1
-        hit_inside = beams[2, b] == HIT and last == major
+        hit_inside = ends[KIND, b] == HIT and last == major
         last_free = last - int(hit_inside)
         if along_i:
             acc, gain = signed(bias, step, sj)
@@ -242,7 +247,7 @@ def update_cells(
                     acc += gain
                     base += si
                     address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
-                    cells[address] = add_free(cells[address], update)
+                    cells[address] = add_free(cells[address], constants)
                 fresh += touch(touched, i, j0 + (acc >> FRACTION_BITS), revision)
                 k = end + 1
         else:
@@ -260,10 +265,10 @@ def update_cells(
                 for _ in range(end - k + 1):
                     acc += gain
                     address = np.uint64(base + (acc >> FRACTION_BITS))
-                    cells[address] = add_free(cells[address], update)
+                    cells[address] = add_free(cells[address], constants)
                 k = end + 1
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
-            cells[address] = add_occupied(cells[address], update)
+            cells[address] = add_occupied(cells[address], constants)
             fresh += touch(touched, i1, j1, revision)
     return updates, fresh

@@ -23,8 +23,8 @@ fraction takes all the bits that the beam's rise leaves; a rise of one row, whic
 have, is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less
 than 1e-6 for every M below 2^20.
 
-`beams` and `lines` are the rows of projection.Beams, `window` and `update` the contents of a
-CellRect and an Update; cells are addressed as in tiles.store.
+`ends` and `lines` are those of projection.Beams, `window` and `constants` the contents of a
+CellRect and of CellConstants; cells are addressed as in tiles.store.
 """
 
 import math
@@ -34,10 +34,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Update
+from ogm_core.cells.log_odds import CellConstants
 from ogm_core.cells.updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models.beams import HIT, SKIPPED, Plain
+from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.sensor_models.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
 from ogm_core.tiles.marks import touch, touch_rows
 from ogm_core.tiles.store import TILE_BITS
@@ -137,12 +137,12 @@ def clip(i0: int, j0: int, stairs: Stairs, width: int, height: int) -> tuple[int
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _stairs_of(
-    beams: NDArray[np.int64], lines: NDArray[np.float64], b: int, window: CellRect
+    ends: NDArray[np.int64], lines: NDArray[np.float64], b: int, window: CellRect
 ) -> tuple[int, int, Stairs, int, int]:
     """Start cell of beam `b`, its stairs, first and last step inside the window."""
-    i0, j0, i1, j1 = counted_from(window, beams, b)
+    i0, j0, i1, j1 = counted_from(window, ends, b)
     stairs = staircase(i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b])
-    if beams[2, b] == SKIPPED or stairs.columns + stairs.rows == 0:
+    if ends[KIND, b] == SKIPPED or stairs.columns + stairs.rows == 0:
         return i0, j0, stairs, 1, 0
     first, last = clip(i0, j0, stairs, window.width, window.height)
     return i0, j0, stairs, first, last
@@ -169,16 +169,16 @@ def _last_in_strip(i: int, stairs: Stairs, t: int, last: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, int, int, int]:
+def extent(ends: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) that holds every cell that the beams update.
 
     A beam is monotone in both axes, so its first and last cells span it. Width is 0 if nothing is updated.
     """
     imin = jmin = 2**62
     imax = jmax = -(2**62)
-    for b in range(beams.shape[1]):
-        i1, j1, i0, j0 = beams[0, b], beams[1, b], beams[3, b], beams[4, b]
-        if beams[2, b] == SKIPPED or (i1 == i0 and j1 == j0):
+    for b in range(ends.shape[1]):
+        i1, j1, i0, j0 = ends[IX, b], ends[IY, b], ends[IX0, b], ends[IY0, b]
+        if ends[KIND, b] == SKIPPED or (i1 == i0 and j1 == j0):
             continue
         imin, imax = min(imin, i1), max(imax, i1)
         jmin, jmax = min(jmin, j1), max(jmax, j1)
@@ -195,7 +195,7 @@ def extent(beams: NDArray[np.int64], lines: NDArray[np.float64]) -> tuple[int, i
 
 @njit(cache=True, error_model="numpy")
 def touch_tiles(
-    beams: NDArray[np.int64],
+    ends: NDArray[np.int64],
     lines: NDArray[np.float64],
     window: Plain,
     touched: NDArray[np.int64],
@@ -208,8 +208,8 @@ def touch_tiles(
     """
     window = CellRect(*window)
     fresh = 0
-    for b in range(beams.shape[1]):
-        i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
+    for b in range(ends.shape[1]):
+        i0, j0, stairs, t, last = _stairs_of(ends, lines, b, window)
         while t <= last:
             i, j = _cell_at(i0, j0, stairs, t)
             end = _last_in_strip(i, stairs, t, last)
@@ -220,14 +220,14 @@ def touch_tiles(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_cells(
-    beams: NDArray[np.int64],
+    ends: NDArray[np.int64],
     lines: NDArray[np.float64],
     window: Plain,
     touched: NDArray[np.int64],
     revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Plain,
+    constants: Plain,
 ) -> tuple[int, int]:
     """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
@@ -238,14 +238,14 @@ def update_cells(
     address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare numba's check
     for negative indices.
     """
-    window, update = CellRect(*window), Update(*update)
+    window, constants = CellRect(*window), CellConstants(*constants)
     updates = fresh = 0
-    for b in range(beams.shape[1]):
-        i0, j0, stairs, t, last = _stairs_of(beams, lines, b, window)
+    for b in range(ends.shape[1]):
+        i0, j0, stairs, t, last = _stairs_of(ends, lines, b, window)
         if t > last:
             continue
         updates += last - t + 1
-        hit_inside = beams[2, b] == HIT and last == stairs.columns + stairs.rows
+        hit_inside = ends[KIND, b] == HIT and last == stairs.columns + stairs.rows
         last_free = last - int(hit_inside)
         upward = stairs.sj << TILE_BITS
         ahead = stairs.si if stairs.along_i else upward
@@ -261,11 +261,11 @@ def update_cells(
                 acc += step
                 base += ahead
                 address = np.uint64(base + (acc >> bits) * climb)
-                cells[address] = add_free(cells[address], update)
+                cells[address] = add_free(cells[address], constants)
             t = end + 1
         if hit_inside:
-            i, j = beams[0, b] - window.ix, beams[1, b] - window.iy
+            i, j = ends[IX, b] - window.ix, ends[IY, b] - window.iy
             address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
-            cells[address] = add_occupied(cells[address], update)
+            cells[address] = add_occupied(cells[address], constants)
             fresh += touch(touched, i, j, revision)
     return updates, fresh

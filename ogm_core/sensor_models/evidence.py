@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Update
+from ogm_core.cells.log_odds import CellConstants
 from ogm_core.errors import BadParameter, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
 from ogm_core.sensor_models.area_outline import Rays, fan_of, turned
 from ogm_core.sensor_models.projection import beam_model, project, read_only
-from ogm_core.tiles.store import StripStore
+from ogm_core.tiles.store import TileStore
 from ogm_core.types import PlacedScan
 
 _PROBE = 8
@@ -30,7 +30,7 @@ _PROBE = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Which cells a scan will update. The cells in `arrays` are counted from `base`."""
+    """Which cells a scan will constants. The cells in `arrays` are counted from `base`."""
 
     kernels: ModuleType
     """Its `extent`, `touch_tiles` and `update_cells` understand `arrays`."""
@@ -42,20 +42,22 @@ class Evidence:
         ix, iy, width, height = self.kernels.extent(*self.arrays)
         return CellRect(ix + self.base[0], iy + self.base[1], width, height)
 
-    def window(self, store: StripStore, inside: CellRect) -> CellRect:
+    def window(self, store: TileStore, inside: CellRect) -> CellRect:
         """`inside`, which shares the store's lower-left corner, as the kernels count."""
         return CellRect(
             store.rect.ix - self.base[0], store.rect.iy - self.base[1], inside.width, inside.height
         )
 
-    def new_tiles(self, store: StripStore, window: CellRect) -> int:
+    def new_tiles(self, store: TileStore, window: CellRect) -> int:
         """How many tiles `update_cells` would write that were never written before."""
         return int(self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched.copy(), 1))
 
-    def update_cells(self, store: StripStore, window: CellRect, revision: int, update: Update) -> int:
+    def update_cells(
+        self, store: TileStore, window: CellRect, revision: int, constants: CellConstants
+    ) -> int:
         """Update the cells that lie in the window, at `revision`; return the number of cell updates."""
         updates, fresh = self.kernels.update_cells(
-            *self.arrays, tuple(window), store.touched, revision, store.cells, store.column, tuple(update)
+            *self.arrays, tuple(window), store.touched, revision, store.cells, store.column, tuple(constants)
         )
         store.tiles_used += fresh
         return int(updates)
@@ -69,19 +71,19 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
             larger than any map may be.
         OutsideBounds: every beam that counts leaves bounds that drop such beams.
     """
-    if settings.sensor == "sector":
+    if settings.sensor_model == "sector":
         return _seen(placed, settings)
-    lattice, bounds = settings.lattice()
+    lattice, bounds = settings.lattice, settings.bounds_rect
     exact = settings.traversal == "dda"
-    cells, lines = project(placed, lattice, settings, exact=exact)
+    ends, lines = project(placed, lattice, settings, exact=exact)
     if bounds is not None and settings.outside == "drop":
-        _drop_outside(cells, bounds)
-    return Evidence(dda, (cells, lines)) if exact else Evidence(bresenham, (cells,))
+        _drop_outside(ends, bounds)
+    return Evidence(dda, (ends, lines)) if exact else Evidence(bresenham, (ends,))
 
 
-def _drop_outside(cells: NDArray[np.int64], bounds: CellRect) -> None:
+def _drop_outside(ends: NDArray[np.int64], bounds: CellRect) -> None:
     """Skip the beams that leave the bounds; OutsideBounds if these are all that count."""
-    counted, dropped = beams.drop_outside(cells, *bounds)
+    counted, dropped = beams.drop_outside(ends, *bounds)
     if counted and dropped == counted:
         raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
 
@@ -90,12 +92,12 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     """Read a placed scan as sectors, at the sensor's pose of mid sweep."""
     if placed.sweep is not None:
         placed = PlacedScan(placed.scan, placed.sweep.middle)
-    lattice, bounds = settings.lattice()
+    lattice, bounds = settings.lattice, settings.bounds_rect
     kinds = np.empty(0, np.int64)
     if bounds is not None and settings.outside == "drop":
-        cells = project(placed, lattice, settings).cells
-        _drop_outside(cells, bounds)
-        kinds = cells[2]
+        ends = project(placed, lattice, settings).ends
+        _drop_outside(ends, bounds)
+        kinds = ends[beams.KIND]
     try:
         sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
     except BadParameter as error:
@@ -113,25 +115,25 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
         ranges, tuple(model), kinds, tuple(fan), place, resolution, tuple(window), settings.max_cells
     )
     if not looked:
-        star = turned(ranges, model, kinds, fan, heading, resolution)
-        box = CellRect(*area_fill.box_of(star[0]))
-        _refuse_early(star, (fu, fv), box, settings.max_cells)
-        seen = area_fill.spans(*star, fu, fv, box)
+        outline = turned(ranges, model, kinds, fan, heading, resolution)
+        box = CellRect(*area_fill.box_of(outline[0]))
+        _refuse_early(outline, (fu, fv), box, settings.max_cells)
+        seen = area_fill.spans(*outline, fu, fv, box)
     return Evidence(spans, (seen,), sensor_cell)
 
 
 def _refuse_early(
-    star: tuple[Rays, NDArray[np.int64]], place: tuple[float, float], box: CellRect, max_cells: int
+    outline: tuple[Rays, NDArray[np.int64]], place: tuple[float, float], box: CellRect, max_cells: int
 ) -> None:
     """Refuse a scan that is certainly too large for any map, before all its cells are listed.
 
     `place` is where the sensor is within its cell.
     """
-    heights = star[0][3] * star[0][1]
+    heights = outline[0][3] * outline[0][1]
     extent = CellRect(0, 0, 0, 0)
     for middle in (int(heights.min()), 0, int(heights.max())):
         probe = CellRect(box.ix, middle - _PROBE // 2, box.width, _PROBE)
-        found = CellRect(*spans.extent(area_fill.spans(*star, *place, probe)))
+        found = CellRect(*spans.extent(area_fill.spans(*outline, *place, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
     if extent.cells > max_cells:

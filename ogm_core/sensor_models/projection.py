@@ -16,13 +16,13 @@ from ogm_core.types import PlacedScan, Ranges, Scan
 class Beams(NamedTuple):
     """The beams of a scan on a lattice.
 
-    `cells` is int64, shape (5, N): the end cell's ix and iy, the kind, the start cell's ix and iy; a skipped
-    beam has its kind only. `lines` is float64, shape (4, N), or (4, 0) where nobody needs it: how far ahead
-    of the start point, in x and in y, the edge of its cell lies, and the vector from the start to the end
-    point; in cells.
+    `ends` is int64, shape (5, N): the end cell's ix and iy, the kind, the start cell's ix and iy, in the rows
+    IX, IY, KIND, IX0 and IY0 of `beams`; a skipped beam has its kind only. `lines` is float64, shape (4, N),
+    or (4, 0) where nobody needs it: how far ahead of the start point, in x and in y, the edge of its cell
+    lies, and the vector from the start to the end point; in cells.
     """
 
-    cells: NDArray[np.int64]
+    ends: NDArray[np.int64]
     lines: NDArray[np.float64]
 
 

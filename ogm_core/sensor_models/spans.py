@@ -1,7 +1,7 @@
 """Cells of one class side by side in a row, and what the kernels do with them.
 
 Spans are int32, shape (n, 4): row, first column, column after the last, class; no cell is in two of them.
-`window` and `update` are the contents of a CellRect and an Update.
+`window` and `constants` are the contents of a CellRect and of CellConstants.
 
 Cells are addressed as in tiles.store: in a strip the 64 cells of a row are a block of memory. An int16
 block is always updated whole, a few instructions for 64 cells, and a mask keeps what lies outside the span:
@@ -17,14 +17,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Update
+from ogm_core.cells.log_odds import CellConstants
 from ogm_core.cells.updates import add_free, add_occupied
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.tiles.marks import touch
 from ogm_core.tiles.store import TILE, TILE_BITS
 
-FREE, OCCUPIED = 1, 2
+SPAN_FREE, SPAN_OCCUPIED = 1, 2
 """Classes of a span."""
 
 
@@ -82,7 +82,7 @@ def update_cells(
     revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Plain,
+    constants: Plain,
 ) -> tuple[int, int]:
     """Add the evidence of the spans to their cells, and write `revision` into their tiles.
 
@@ -90,7 +90,7 @@ def update_cells(
     the store of `cells` and `touched` begins in its corner.
     """
     kernel = update_blocks if cells.dtype == np.int16 else update_one_by_one
-    updates, fresh = kernel(spans, window, touched, revision, cells, column, update)
+    updates, fresh = kernel(spans, window, touched, revision, cells, column, constants)
     return updates, fresh
 
 
@@ -102,21 +102,21 @@ def update_one_by_one(
     revision: int,
     cells: NDArray[Any],
     column: NDArray[np.int64],
-    update: Plain,
+    constants: Plain,
 ) -> tuple[int, int]:
     """`update_cells` for any type of cells."""
     fresh = touch_tiles(spans, window, touched, revision)
-    window, update = CellRect(*window), Update(*update)
+    window, constants = CellRect(*window), CellConstants(*constants)
     updates = 0
     for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         updates += end - first
         for i in range(first, end):
             address = np.uint64(column[i] + (j << TILE_BITS))
-            if spans[n, 3] == FREE:
-                cells[address] = add_free(cells[address], update)
+            if spans[n, 3] == SPAN_FREE:
+                cells[address] = add_free(cells[address], constants)
             else:
-                cells[address] = add_occupied(cells[address], update)
+                cells[address] = add_occupied(cells[address], constants)
     return updates, fresh
 
 
@@ -128,13 +128,13 @@ def update_blocks(
     revision: int,
     cells: NDArray[np.int16],
     column: NDArray[np.int64],
-    update: Plain,
+    constants: Plain,
 ) -> tuple[int, int]:
     """`update_cells` for int16: what cells.updates does to one cell, done to 64 at once."""
     fresh = touch_tiles(spans, window, touched, revision)
-    window, update = CellRect(*window), Update(*update)
-    floor, less = np.int16(update.lower - update.free), np.int16(update.free)
-    ceiling, more = np.int16(update.upper - update.occupied), np.int16(update.occupied)
+    window, constants = CellRect(*window), CellConstants(*constants)
+    floor, less = np.int16(constants.lower - constants.free), np.int16(constants.free)
+    ceiling, more = np.int16(constants.upper - constants.occupied), np.int16(constants.occupied)
     inside = np.full((2, 2 * TILE), -1, np.int16)
     inside[0, :TILE] = 0
     inside[1, TILE:] = 0
@@ -146,7 +146,7 @@ def update_blocks(
             last = min(end - 1, first | (TILE - 1))
             block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - (first & (TILE - 1)))
             left, right = np.uint64(TILE - (first & (TILE - 1))), np.uint64(TILE - 1 - (last & (TILE - 1)))
-            if spans[n, 3] != FREE:
+            if spans[n, 3] != SPAN_FREE:
                 for q in range(np.uint64(TILE)):
                     cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
                     cells[block + q] = cell ^ ((((min(cell, ceiling) + more) | 1) ^ cell) & mask)

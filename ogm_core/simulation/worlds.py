@@ -11,9 +11,8 @@ A world file is YAML, all lengths in metres:
 Only `path` and one obstacle are needed. The YAML file of a ROS map is a world, too (see ros_map_world).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import yaml
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from ogm_core.errors import BadWorld
 from ogm_core.files.strict_yaml import parse_yaml, shown
 from ogm_core.lattice import Region
-from ogm_core.simulation.office import PLAN
 from ogm_core.simulation.trajectories import CirclePath, WaypointPath
 
 MAX_COORDINATE = 1e6
@@ -70,47 +68,13 @@ def lab() -> World:
     )
 
 
-def office() -> World:
-    """An office floor of 30 x 20 m; the robot visits every room without touching anything."""
-    return load_world(PLAN)
-
-
-BUILT_IN: Mapping[str, Callable[[], World]] = {"lab": lab, "office": office}
-"""The worlds that have a name."""
-
-
-def world_named(name_or_path: str) -> World:
-    """The built-in world of that name, else that of the YAML file at that path: a world file, or a ROS map.
-
-    Raises:
-        BadWorld: there is no such file, it cannot be read, or it is not a world.
-        BadMapFile: it is a ROS map, but it or its picture is not what is needed.
-    """
-    if name_or_path in BUILT_IN:
-        return BUILT_IN[name_or_path]()
-    known = ", ".join(BUILT_IN)
-    try:
-        text = Path(name_or_path).read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise BadWorld(f"world {name_or_path!r}: no such file, nor a built-in world ({known})") from error
-    except (OSError, ValueError) as error:
-        raise BadWorld(
-            f"world {name_or_path!r}: not a file that can be read ({error}), nor a built-in world ({known})"
-        ) from error
-    try:
-        fields = _parse(text)
-        return _world_of_map(Path(name_or_path)) if "image" in fields else load_world(fields)
-    except BadWorld as error:
-        raise BadWorld(f"world {name_or_path!r}: {error}") from error
-
-
 def load_world(description: str | Mapping[str, object]) -> World:
     """Read a world from YAML text, or from the mapping that such text stands for.
 
     Raises:
         BadWorld: it is not one; the text names the key and the entry.
     """
-    fields = _parse(description) if isinstance(description, str) else description
+    fields = fields_of(description) if isinstance(description, str) else description
     if "image" in fields:
         raise BadWorld("this is a ROS map file: give its path, so that its picture is found beside it")
     _refuse_unknown(fields, _KEYS, "")
@@ -145,7 +109,8 @@ def dump_world(world: World) -> str:
     return str(yaml.dump(fields, Dumper=dumper, sort_keys=False, default_flow_style=None))
 
 
-def _parse(text: str) -> Mapping[str, object]:
+def fields_of(text: str) -> Mapping[str, object]:
+    """What a world file says, by key; BadWorld if it is no mapping."""
     try:
         fields = parse_yaml(text)
     except ValueError as error:
@@ -153,14 +118,6 @@ def _parse(text: str) -> Mapping[str, object]:
     if not isinstance(fields, dict):
         raise BadWorld(f"a mapping with the keys {', '.join(_KEYS)} is needed, got {shown(fields)}")
     return fields
-
-
-def _world_of_map(path: Path) -> World:
-    # Here, because what reads pictures and finds ways loads slowly, and other worlds need none of it.
-    from ogm_core.files.ros_map_reader import read_ros_map
-    from ogm_core.simulation.ros_map_world import world_of_map
-
-    return world_of_map(read_ros_map(path), path.stem)
 
 
 def _path(path: object) -> CirclePath | WaypointPath:

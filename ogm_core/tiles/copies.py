@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.store import TILE, StripStore
+from ogm_core.tiles.store import TILE, TileStore
 
 
 class Block(NamedTuple):
@@ -68,7 +68,7 @@ class TileCopies:
         return found
 
 
-def room_for(store: StripStore, before: TileCopies | None) -> NDArray[Any]:
+def room_for(store: TileStore, before: TileCopies | None) -> NDArray[Any]:
     """Memory for the tiles that `copy_tiles` would copy now, and some more, shape (n, 4096).
 
     It is there when it returns: copying into new memory takes many times longer than copying. Another thread
@@ -79,7 +79,7 @@ def room_for(store: StripStore, before: TileCopies | None) -> NDArray[Any]:
 
 
 def copy_tiles(
-    store: StripStore, revision: int, before: TileCopies | None = None, room: NDArray[Any] | None = None
+    store: TileStore, revision: int, before: TileCopies | None = None, room: NDArray[Any] | None = None
 ) -> TileCopies:
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
 
@@ -102,7 +102,7 @@ def copy_tiles(
 
 
 def _to_copy(
-    store: StripStore, before: TileCopies | None
+    store: TileStore, before: TileCopies | None
 ) -> tuple[NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
     """Numbers of a store's tiles in the copy `before`, its blocks that are kept, and which tiles to copy."""
     if before is None:

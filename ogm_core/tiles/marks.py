@@ -1,6 +1,6 @@
 """Which tiles a scan writes: each keeps the revision of the last one.
 
-`touched`, int64, shape (tiles in x, tiles in y), is that of store.StripStore; 0 stands for never.
+`touched`, int64, shape (tiles in x, tiles in y), is that of store.TileStore; 0 stands for never.
 """
 
 import numpy as np

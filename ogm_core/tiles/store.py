@@ -30,7 +30,7 @@ _FIRST_ROOM = 4096
 _SMALL_PART = 100
 
 
-class StripStore:
+class TileStore:
     """Cells of a rectangle of whole tiles, all unknown at first. Owned by the map's one writer."""
 
     def __init__(self, rect: CellRect, dtype: np.dtype[Any]) -> None:
@@ -61,7 +61,7 @@ class StripStore:
         """Memory of the tiles that were ever written, and of the tables."""
         return self.tiles_used * self.tile_bytes + self.column.nbytes + self.touched.nbytes
 
-    def grown(self, rect: CellRect, max_bytes: int = 0) -> "StripStore":
+    def grown(self, rect: CellRect, max_bytes: int = 0) -> "TileStore":
         """A store that also covers `rect`, with room to spare where it grew; its cells follow by `take`.
 
         The first cells get much room around, unless its tables would be much of `max_bytes`: room for cells
@@ -79,8 +79,8 @@ class StripStore:
             )
             if _table_bytes(roomy) * _SMALL_PART < max_bytes:
                 with contextlib.suppress(LimitReached):  # no address space for that much
-                    return StripStore(roomy, self.cells.dtype)
-            return StripStore(rect, self.cells.dtype)
+                    return TileStore(roomy, self.cells.dtype)
+            return TileStore(rect, self.cells.dtype)
         west = self.rect.width // 2 if rect.ix < self.rect.ix else 0
         south = self.rect.height // 2 if rect.iy < self.rect.iy else 0
         wanted = self.rect.union(rect)
@@ -89,14 +89,14 @@ class StripStore:
         roomy = CellRect(
             wanted.ix - west, wanted.iy - south, wanted.width + west + east, wanted.height + south + north
         )
-        store = StripStore(roomy, self.cells.dtype)
+        store = TileStore(roomy, self.cells.dtype)
         dx, dy = store._tile_of(self)
         width, height = self.touched.shape
         store.touched[dx : dx + width, dy : dy + height] = self.touched
         store.tiles_used = self.tiles_used
         return store
 
-    def take(self, other: "StripStore") -> None:
+    def take(self, other: "TileStore") -> None:
         """Move every tile that was written in `other`, which this store was grown from, and nothing else.
 
         `other` is given back to the system strip by strip, so that growing takes no second map's memory.
@@ -135,7 +135,7 @@ class StripStore:
             self.tiles_used += int(self.touched[tx, ty] == 0)
             self.touched[tx, ty] = 1
 
-    def _tile_of(self, other: "StripStore") -> tuple[int, int]:
+    def _tile_of(self, other: "TileStore") -> tuple[int, int]:
         """Tile of this store that holds the lower-left cell of `other`."""
         return (other.rect.ix - self.rect.ix) // TILE, (other.rect.iy - self.rect.iy) // TILE
 

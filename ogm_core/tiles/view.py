@@ -7,18 +7,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import Cells, Encoder, LogOdds
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.model import Encoder, StoredCells
 from ogm_core.lattice import CellRect
-from ogm_core.pictures.map_picture import TilePicture
+from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.pictures.png import write_png
 from ogm_core.tiles.copies import TileCopies
 from ogm_core.tiles.store import TILE
 
-Pictures = dict[Encoder, TilePicture]
+Pictures = dict[Encoder, MapPicture]
 """The pictures of a map that have been asked for, by palette; all its snapshots share them."""
 
 
-class TiledCells:
+class TileView:
     """Stored cells of a rectangle, [iy, ix], row 0 south (an `ogm_core.snapshot.CellSource`). Any thread."""
 
     def __init__(self, tiles: TileCopies, rect: CellRect, dtype: np.dtype[Any], pictures: Pictures) -> None:
@@ -28,14 +29,14 @@ class TiledCells:
         self._rect = rect
         self._pictures = pictures
         self._lock = threading.Lock()
-        self._dense: Cells | None = None
+        self._dense: StoredCells | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self._rect.height, self._rect.width
 
-    def __getitem__(self, part: tuple[slice, slice]) -> Cells:
+    def __getitem__(self, part: tuple[slice, slice]) -> StoredCells:
         if self._dense is not None:
             return self._dense[part]
         (south, north, _), (west, east, _) = (
@@ -45,7 +46,7 @@ class TiledCells:
             CellRect(self._rect.ix + west, self._rect.iy + south, max(east - west, 0), max(north - south, 0))
         )
 
-    def dense(self) -> Cells:
+    def dense(self) -> StoredCells:
         """All of them in one array, the same for all who ask."""
         with self._lock:
             if self._dense is None:
@@ -74,10 +75,10 @@ class TiledCells:
             return write_png(model.encode(self.dense(), encoder)[::-1])
         picture = self._pictures.get(encoder)
         if picture is None:
-            picture = self._pictures.setdefault(encoder, TilePicture(model.table(encoder)))
+            picture = self._pictures.setdefault(encoder, MapPicture(model.table(encoder)))
         return picture.png(self.tiles, self._rect)
 
-    def _laid_out(self, rect: CellRect) -> Cells:
+    def _laid_out(self, rect: CellRect) -> StoredCells:
         dense = np.zeros((rect.height, rect.width), self.dtype)
         frame = self.tiles.rect
         west, south = (rect.ix - frame.ix) // TILE, (rect.iy - frame.iy) // TILE

@@ -14,9 +14,10 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands.simulator_options import SimulatorOptions
-from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors, running_service
+from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
+from ogm_services.runtime.signals import running_service
 from ogm_services.settings.flags import (
     ConfigFile,
     HttpFlags,
@@ -295,7 +296,7 @@ def status(
         return
     from rich.console import Console
 
-    from ogm_services.commands.get import status_tables
+    from ogm_services.commands.status import status_tables
 
     console = Console()
     for table in status_tables(answer):

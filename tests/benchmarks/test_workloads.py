@@ -151,7 +151,7 @@ def test_the_least_work_covers_every_cell_that_a_scan_sees(big_work):
     assert limit.round().size == 2
     for n in (0, 1):
         placed = big_work.scans[30 * n]
-        seen = OccupancyGrid(settings_of(big_work, sensor="sector"))
+        seen = OccupancyGrid(settings_of(big_work, sensor_model="sector"))
         seen.integrate(*placed)
         row, first, end = limit.spans_of(placed)
         assert row.size == limit.blocks[n].shape[1]

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from ogm_client import MapGrid
-from ogm_client.notebook import round_length
+from ogm_core.pictures.scale_bar import round_length
 
 SVG = "{http://www.w3.org/2000/svg}"
 

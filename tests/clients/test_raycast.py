@@ -100,8 +100,11 @@ def test_many_rays_are_as_each_alone():
 
 def believed(grid):
     """The cells of a grid in the kernel's words."""
-    beliefs = np.where(grid.known, agreement.UNDECIDED, 0)
-    beliefs[grid.occupancy == 0], beliefs[grid.occupancy == 100] = agreement.FREE, agreement.OCCUPIED
+    beliefs = np.where(grid.known, agreement.BELIEF_UNDECIDED, 0)
+    beliefs[grid.occupancy == 0], beliefs[grid.occupancy == 100] = (
+        agreement.BELIEF_FREE,
+        agreement.BELIEF_OCCUPIED,
+    )
     return beliefs.astype(np.uint8)
 
 

@@ -8,7 +8,7 @@ import pytest
 from numba import config, njit
 
 import naive
-from ogm_core.cells.log_odds import LogOdds, Update
+from ogm_core.cells.log_odds import CellConstants, LogOdds
 from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -28,7 +28,7 @@ FEWER = 12 if config.DISABLE_JIT else 1
 
 
 def settings_of(**changes):
-    return GridSettings(**{"resolution": 0.1, "sensor": "sector", "alpha": 0.3, **changes})
+    return GridSettings(**{"resolution": 0.1, "sensor_model": "sector", "alpha": 0.3, **changes})
 
 
 def scan_of(ranges, **changes):
@@ -60,7 +60,7 @@ def brute_force(rect, u, v, resolution, theta, bearings, half, kinds, lengths, a
 
 def assert_every_cell(scan, pose, settings):
     """Compare all cells around the sensor; return how often each class occurs."""
-    lattice, bounds = settings.lattice()
+    lattice, bounds = settings.lattice, settings.bounds_rect
     seen = observe(PlacedScan(scan, pose), settings).arrays[0]
     bearings, kinds, lengths = beams_of(scan, settings)
     u = (pose.x - lattice.anchor[0]) / lattice.resolution
@@ -247,8 +247,8 @@ def test_bounds_clip_the_map_of_the_same_lattice_without_bounds(x, y, cells):
     rng = np.random.default_rng(3)
     bounds = Region(-4.0, -2.0, 4.0, 2.0)
     model = LogOdds(cells)
-    bounded = OccupancyGrid(settings_of(model=model, bounds=bounds))
-    whole = OccupancyGrid(settings_of(model=model, bounds=Region(-20.0, -18.0, 20.0, 18.0)))
+    bounded = OccupancyGrid(settings_of(cell_model=model, bounds=bounds))
+    whole = OccupancyGrid(settings_of(cell_model=model, bounds=Region(-20.0, -18.0, 20.0, 18.0)))
     updates = 0
     for theta in (0.0, 2.0, 4.0):
         scan = scan_of(rng.uniform(0.5, 7, 300), angle_min=-2.4, angle_increment=4.8 / 299)
@@ -387,12 +387,13 @@ def test_far_beams_of_fine_cells():
 
 def test_counting_and_kinds_of_the_update_kernel():
     found = np.array(
-        [[0, -3, 5, spans.FREE], [1, 60, 70, spans.FREE], [1, 70, 130, spans.OCCUPIED]], np.int32
+        [[0, -3, 5, spans.SPAN_FREE], [1, 60, 70, spans.SPAN_FREE], [1, 70, 130, spans.SPAN_OCCUPIED]],
+        np.int32,
     )
     columns = np.arange(192)
     column = (columns // 64) * 64 * 64 + columns % 64
     cells = np.zeros(3 * 64 * 64, np.int16)
-    update = Update(-20, 30, -100, 100, 0)
+    update = CellConstants(-20, 30, -100, 100, 0)
     touched = np.zeros((3, 1), np.int64)
     window = CellRect(0, 0, 128, 64)
     assert spans.update_cells(found, window, touched, 7, cells, column, update) == (5 + 10 + 58, 2)
@@ -413,7 +414,7 @@ def test_blocks_of_cells_are_updated_as_one_cell_is():
     found = np.stack((rng.permutation(64), first, end, kinds), axis=1).astype(np.int32)
     columns = np.arange(192)
     column = (columns // 64) * 64 * 64 + columns % 64
-    window, update = CellRect(0, 0, 150, 60), LogOdds(l_min=-1.0, l_max=3.0).update
+    window, update = CellRect(0, 0, 150, 60), LogOdds(l_min=-1.0, l_max=3.0).constants
     blocks = rng.integers(update.lower, update.upper, 3 * 64 * 64).astype(np.int16)
     singly, touched = blocks.copy(), np.zeros((3, 1), np.int64)
     for _ in range(3):
@@ -426,7 +427,7 @@ def test_blocks_of_cells_are_updated_as_one_cell_is():
 
 
 def test_a_span_that_ends_at_a_tiles_edge_touches_no_tile_beyond_it():
-    found = np.array([[63, 10, 64, spans.FREE], [64, 64, 128, spans.OCCUPIED]], np.int32)
+    found = np.array([[63, 10, 64, spans.SPAN_FREE], [64, 64, 128, spans.SPAN_OCCUPIED]], np.int32)
     touched = np.zeros((3, 3), np.int64)
     assert spans.touch_tiles(found, CellRect(0, 0, 192, 192), touched, 4) == 2
     assert np.argwhere(touched == 4).tolist() == [[0, 0], [1, 1]]

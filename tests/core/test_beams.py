@@ -30,7 +30,7 @@ def scan_of(ranges, **changes):
 
 def cells_of(scan, pose, lattice, settings):
     """End cell and kind of every beam, and its start cell: five rows."""
-    return project(PlacedScan(scan, pose), lattice, settings).cells
+    return project(PlacedScan(scan, pose), lattice, settings).ends
 
 
 def classify(r, range_min, range_max, alpha, clear_range, reach):
@@ -235,8 +235,8 @@ def test_turned_directions_give_the_very_cells_of_the_sum_of_angles(theta, ancho
             assert beams.project(read_only(ranges), model, np.array([sensor]), lattice, *wanted)
             turned = directions(*model[:2], ranges.size)
             assert beams.project_turned(read_only(ranges), model, sensor, lattice, *found, turned)
-            assert np.array_equal(found.cells, wanted.cells)
-            counts = wanted.cells[2] != SKIPPED
+            assert np.array_equal(found.ends, wanted.ends)
+            counts = wanted.ends[2] != SKIPPED
             assert np.allclose(found.lines[2:, counts], wanted.lines[2:, counts], rtol=0, atol=1e-6)
-            steps = (found.cells[:2] - found.cells[3:])[:, counts]
+            steps = (found.ends[:2] - found.ends[3:])[:, counts]
             assert (steps * found.lines[2:, counts] > 0)[steps != 0].all(), "a line leads to its end cell"

@@ -35,7 +35,7 @@ def touch(beams, window, touched, revision):
     counted, columns = touched.copy(), np.arange(64 * touched.shape[0])
     column = (columns // 64) * touched.shape[1] * 4096 + columns % 64
     cells = np.zeros(touched.size * 4096, np.int16)
-    _, fresh = bresenham.update_cells(beams, window, touched, revision, cells, column, LogOdds().update)
+    _, fresh = bresenham.update_cells(beams, window, touched, revision, cells, column, LogOdds().constants)
     assert bresenham.touch_tiles(beams, window, counted, revision) == fresh
     assert np.array_equal(counted, touched)
     return fresh

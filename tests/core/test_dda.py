@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import naive
-from ogm_core.cells.log_odds import Update
+from ogm_core.cells.log_odds import CellConstants
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models import dda
 from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED
 
 SIDE = 192
-COUNTING = Update(free=-1.0, occupied=1000.0, lower=-1e6, upper=1e6, prior=0.0)
+COUNTING = CellConstants(free=-1.0, occupied=1000.0, lower=-1e6, upper=1e6, prior=0.0)
 """A cell that was observed free n times holds -n."""
 SLACK = Fraction(1, 10**6)
 

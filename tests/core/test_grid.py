@@ -76,7 +76,7 @@ def pair(**changes):
 @pytest.mark.parametrize("limits", [{}, {"reach": 5.0, "clear_range": 3.0}, {"clear_range": 0.0}])
 def test_random_scans(cells, prior, area, limits):
     rng = np.random.default_rng(0)
-    grid, twin = pair(model=LogOdds(cells, p_prior=prior, l_min=-2, l_max=3.5), **area, **limits)
+    grid, twin = pair(cell_model=LogOdds(cells, p_prior=prior, l_min=-2, l_max=3.5), **area, **limits)
     for _ in range(25):
         observe(grid, twin, random_scan(rng), Pose(*rng.uniform(-5, 6, 2), rng.uniform(-9, 9)))
     assert_equal(grid, twin)
@@ -106,14 +106,14 @@ def test_random_scans(cells, prior, area, limits):
 @pytest.mark.parametrize("outside", ["clip", "drop"])
 @pytest.mark.parametrize("bounds", [None, Region(-3, -2, 4, 5)])
 def test_one_beam(cells, pose, length, outside, bounds):
-    grid, twin = pair(model=LogOdds(cells), bounds=bounds, outside=outside)
+    grid, twin = pair(cell_model=LogOdds(cells), bounds=bounds, outside=outside)
     for reading in (length, INF, length):
         observe(grid, twin, scan_of([reading]), pose)
     assert_equal(grid, twin)
 
 
 def test_a_beam_frees_the_cells_before_its_end_and_not_its_own():
-    grid, _ = pair(model=LogOdds("float64"))
+    grid, _ = pair(cell_model=LogOdds("float64"))
     assert grid.integrate(scan_of([0.5]), Pose(0.05, 0.05, EAST)) == 5
     assert grid.rect == (1, 0, 5, 1)
     free, occupied = grid.model.d_free, grid.model.d_occ
@@ -124,8 +124,8 @@ def test_a_beam_frees_the_cells_before_its_end_and_not_its_own():
 def test_clipping_is_the_unbounded_map_restricted_to_the_bounds(cells):
     rng = np.random.default_rng(1)
     model, bounds = LogOdds(cells), Region(-3, -2, 4, 5)
-    clipped, _ = pair(model=model, bounds=bounds)
-    unbounded = OccupancyGrid(GridSettings(resolution=0.1, alpha=0.2, model=model), "e")
+    clipped, _ = pair(cell_model=model, bounds=bounds)
+    unbounded = OccupancyGrid(GridSettings(resolution=0.1, alpha=0.2, cell_model=model), "e")
     # The anchors differ by whole cells: only an end point within rounding of an edge could tell.
     for _ in range(40):
         scan, pose = random_scan(rng), Pose(*rng.uniform(-8, 8, 2), rng.uniform(-9, 9))
@@ -149,7 +149,7 @@ def test_only_a_scan_that_lost_every_beam_to_the_bounds_is_refused():
 
 def hammered(model, hits, passes):
     """A cell hit and passed over, alternately counted, next to one that is only passed."""
-    grid, twin = pair(model=model)
+    grid, twin = pair(cell_model=model)
     for count, reading in ((hits, 0.5), (passes, 0.9), (hits, 0.5)):
         for _ in range(count):
             observe(grid, twin, scan_of([reading]), Pose(0.05, 0.05, EAST))
@@ -191,7 +191,7 @@ def test_int16_uses_its_whole_range():
 def test_a_cell_brought_back_to_the_prior_stays_known(cells):
     model = LogOdds(cells, p_occ=0.75, p_free=0.25)
     assert model.d_occ == -model.d_free
-    grid, twin = pair(model=model)
+    grid, twin = pair(cell_model=model)
     for reading in (0.5, 0.7):
         observe(grid, twin, scan_of([reading]), Pose(0.05, 0.05, EAST))
     snapshot = grid.snapshot()
@@ -205,7 +205,7 @@ def test_a_cell_brought_back_to_the_prior_stays_known(cells):
 def test_float64_log_odds_of_zero_are_not_the_prior():
     model = LogOdds("float64", p_prior=0.25, p_occ=0.5, p_free=0.1)
     assert model.l0 + model.d_occ == 0.0
-    grid, twin = pair(model=model)
+    grid, twin = pair(cell_model=model)
     for step in (1, 2, 3):
         observe(grid, twin, scan_of([0.5]), Pose(0.05, 0.05, EAST))
         hit = model.log_odds(grid.snapshot().cells)[0, -1]
@@ -223,7 +223,7 @@ def test_float64_log_odds_of_zero_are_not_the_prior():
 def test_without_clamping_evidence_adds_up(cells):
     rng = np.random.default_rng(3)
     model = LogOdds(cells, p_prior=0.4, p_occ=0.8, p_free=0.3, l_min=-300, l_max=300)
-    grid, _ = pair(model=model)
+    grid, _ = pair(cell_model=model)
     counts = {False: Counter(), True: Counter()}
     for _ in range(15):
         scan, pose = random_scan(rng), Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
@@ -292,7 +292,7 @@ MODELS = st.builds(
 SETTINGS = st.builds(
     GridSettings,
     resolution=st.sampled_from([0.125, 0.25]),
-    model=MODELS,
+    cell_model=MODELS,
     alpha=st.sampled_from([0.0, 0.25]),
     reach=st.sampled_from([None, 0.1, 5.0]),
     clear_range=st.sampled_from([None, 0.0, 4.0]),

@@ -76,7 +76,7 @@ def test_an_empty_map():
 )
 def test_growth_in_every_direction_keeps_the_cells(cells, directions):
     rng = np.random.default_rng(1)
-    grid = grid_of(model=LogOdds(cells))
+    grid = grid_of(cell_model=LogOdds(cells))
     twin = naive.Map(grid.settings)
     x, y = 0.0, 0.0
     for direction in directions:
@@ -172,7 +172,7 @@ def test_max_bytes_counts_the_tiles_of_a_straight_beam_exactly():
 
 @pytest.mark.parametrize("cells", ["int16", "float64"])
 def test_after_max_bytes_scans_within_what_is_allocated_still_go_in(cells):
-    grid = grid_of(max_bytes=200_000, model=LogOdds(cells))
+    grid = grid_of(max_bytes=200_000, cell_model=LogOdds(cells))
     twin = naive.Map(grid.settings)
     home = scan_of([4.0, 5.0, 3.0, 5.5, 2.0], angle_increment=1.1)
     away = scan_of([95.0, 95.0, 4.0], angle_increment=1.0)

@@ -33,13 +33,11 @@ def test_what_makes_no_map_is_refused(changes, says):
 
 def test_the_edges_of_what_is_allowed():
     GridSettings(alpha=0.0, reach=5e-324, clear_range=0.0)
-    assert GridSettings(reach=math.inf, clear_range=math.inf).lattice()[1] is None
-    assert GridSettings(bounds=Region(0, 0, 10, 10), max_cells=40_000).lattice()[1] == CellRect(
-        0, 0, 200, 200
-    )
+    assert GridSettings(reach=math.inf, clear_range=math.inf).bounds_rect is None
+    assert GridSettings(bounds=Region(0, 0, 10, 10), max_cells=40_000).bounds_rect == CellRect(0, 0, 200, 200)
 
 
 def test_an_unbounded_maps_lattice_has_its_anchor_and_a_bounded_ones_the_bounds():
-    assert GridSettings(anchor=(1.5, -2.0)).lattice()[0].anchor == (1.5, -2.0)
+    assert GridSettings(anchor=(1.5, -2.0)).lattice.anchor == (1.5, -2.0)
     bounded = GridSettings(anchor=(1.5, -2.0), bounds=Region(-3, -4, 0, 0))
-    assert bounded.lattice()[0].anchor == (-3, -4)
+    assert bounded.lattice.anchor == (-3, -4)

@@ -53,7 +53,7 @@ def test_only_tiles_with_a_known_cell_take_memory():
 @BOTH
 @pytest.mark.parametrize("sensor", ["beam", "sector"])
 def test_scans_add_to_it(sensor, cells):
-    begun, empty = grid_of(cells, sensor=sensor), grid_of(cells, sensor=sensor)
+    begun, empty = grid_of(cells, sensor_model=sensor), grid_of(cells, sensor_model=sensor)
     start = start_cells(begun)
     begun.begin_with(start)
     scan = Scan(5, 0.0, 0.02, 0.0, 20.0, np.linspace(3, 12, 200, dtype=np.float32))

@@ -20,7 +20,7 @@ ROUND = 220
 def lab_settings(cells):
     return GridSettings(
         resolution=0.1,
-        model=LogOdds(cells),
+        cell_model=LogOdds(cells),
         alpha=0.2,
         bounds=Region(-10.0, -10.0, 10.0, 10.0),
         outside="drop",

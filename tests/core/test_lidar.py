@@ -5,9 +5,10 @@ import pytest
 
 from ogm_core.errors import BadSetting
 from ogm_core.simulation import lidar as module
+from ogm_core.simulation.catalogue import office
 from ogm_core.simulation.lidar import Lidar, measure, true_ranges
 from ogm_core.simulation.trajectories import CirclePath
-from ogm_core.simulation.worlds import World, lab, office
+from ogm_core.simulation.worlds import World, lab
 from ogm_core.types import Pose
 
 ORIGIN = Pose(0.0, 0.0, 0.0)

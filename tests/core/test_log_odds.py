@@ -62,17 +62,17 @@ def test_step_reaches_the_farther_clamp():
     model = LogOdds(**SKEWED)
     assert model.l0 == math.log(0.3 / 0.7)
     assert model.step == (6.0 - model.l0) / 16383
-    assert model.update.upper == 2 * 16383
-    assert model.update.lower == 2 * round((-4.0 - model.l0) / model.step)
+    assert model.constants.upper == 2 * 16383
+    assert model.constants.lower == 2 * round((-4.0 - model.l0) / model.step)
     assert LogOdds(l_min=-9.0, l_max=3.0).step == 9.0 / 16383
 
 
 def test_update_in_stored_units():
-    exact = LogOdds("float64", **SKEWED).update
+    exact = LogOdds("float64", **SKEWED).constants
     l0 = math.log(0.3 / 0.7)
     assert exact == pytest.approx((math.log(0.25) - l0, math.log(4.0) - l0, -4.0, 6.0, l0), abs=1e-14)
     model = LogOdds(**SKEWED)
-    fixed = model.update
+    fixed = model.constants
     assert all(type(value) is int for value in fixed)
     assert fixed.free == 2 * round((math.log(0.25) - l0) / model.step)
     assert fixed.occupied == 2 * round((math.log(4.0) - l0) / model.step)
@@ -90,7 +90,7 @@ def test_int16_stores_the_nearest_step_and_the_known_bit(settings):
     clamped = np.clip(wanted, model.l_min, model.l_max)
     assert np.abs(model.log_odds(cells) - clamped)[known].max() <= 0.5001 * model.step
     assert not cells[~known].any()
-    lower, upper = (value + 1 for value in model.update[2:4])
+    lower, upper = (value + 1 for value in model.constants[2:4])
     assert (cells[known].min(), cells[known].max()) == (lower, upper), (
         "the clamps, as a beam would reach them"
     )
@@ -98,7 +98,7 @@ def test_int16_stores_the_nearest_step_and_the_known_bit(settings):
 
 def test_int16_store_is_the_inverse_of_log_odds():
     model = LogOdds(**SKEWED)
-    cells = np.arange(model.update.lower + 1, model.update.upper + 2, 2, dtype=np.int16)
+    cells = np.arange(model.constants.lower + 1, model.constants.upper + 2, 2, dtype=np.int16)
     assert np.array_equal(model.store(model.log_odds(cells), np.ones(cells.shape, np.bool_)), cells)
 
 
@@ -120,7 +120,7 @@ def test_a_known_zero_at_a_clamp_stays_known():
 
 
 def test_increments_never_exceed_the_distance_between_the_clamps():
-    update = LogOdds(p_occ=1.0, p_free=0.0, l_min=-0.5, l_max=0.25).update
+    update = LogOdds(p_occ=1.0, p_free=0.0, l_min=-0.5, l_max=0.25).constants
     assert update.upper - update.lower == update.occupied == -update.free
 
 
@@ -165,7 +165,7 @@ def test_int16_stays_within_0_002_of_float64_in_the_lab():
     worst = 0.0
     for _ in range(3000):
         hit = rng.random(401) < share
-        u, v = fixed.update, exact.update
+        u, v = fixed.constants, exact.constants
         q = np.clip(q + np.where(hit, u.occupied, u.free), u.lower, u.upper)
         log_odds = np.clip(log_odds + np.where(hit, v.occupied, v.free), v.lower, v.upper)
         stored = (q | 1).astype(np.int16)

@@ -13,7 +13,7 @@ from ogm_core.types import Pose, Scan
 VARIANTS = {
     "bresenham": {"traversal": "bresenham"},
     "dda": {"traversal": "dda"},
-    "sector": {"sensor": "sector"},
+    "sector": {"sensor_model": "sector"},
 }
 
 

@@ -31,7 +31,7 @@ def map_of(model, height=23, width=31, seed=2):
     rng = np.random.default_rng(seed)
     shape = height, width
     if model.cells == "int16":
-        steps = np.where(rng.random(shape) < 0.2, 0, rng.integers(model.update.lower // 2, 16384, shape))
+        steps = np.where(rng.random(shape) < 0.2, 0, rng.integers(model.constants.lower // 2, 16384, shape))
         cells = np.where(rng.random(shape) < 0.7, 2 * steps | 1, 0).astype(np.int16)
     else:
         log_odds = np.where(rng.random(shape) < 0.2, -0.0, rng.uniform(-8.0, 8.0, shape))

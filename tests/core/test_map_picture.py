@@ -15,9 +15,9 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
 from ogm_core.pictures import map_picture as tile_picture
-from ogm_core.pictures.map_picture import TilePicture
+from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.tiles.copies import copy_tiles
-from ogm_core.tiles.store import TILE, StripStore
+from ogm_core.tiles.store import TILE, TileStore
 from ogm_core.types import Pose, Scan
 
 MODELS = [LogOdds(), LogOdds(p_prior=0.1, p_free=0.05), LogOdds(p_prior=0.7, p_occ=0.8), LogOdds("float64")]
@@ -87,9 +87,9 @@ class Desk:
 
     def __init__(self, tiles=(5, 4), palette="probability", seed=0):
         self.rng = np.random.default_rng(seed)
-        self.store = StripStore(CellRect(-64, 128, TILE * tiles[0], TILE * tiles[1]), np.dtype(np.int16))
+        self.store = TileStore(CellRect(-64, 128, TILE * tiles[0], TILE * tiles[1]), np.dtype(np.int16))
         self.palette, self.revision, self.copies = palette, 0, None
-        self.picture = TilePicture(LogOdds().table(PALETTES[palette]))
+        self.picture = MapPicture(LogOdds().table(PALETTES[palette]))
 
     def fill(self, tx, ty, cells):
         self.revision += 1
@@ -230,7 +230,7 @@ def test_a_picture_is_whole_after_memory_gave_out(monkeypatch, broken):
 
 def test_the_check_sum_of_a_map_of_250_km():
     """80,000 flat tiles in a row, whose sums would be too large for 64 bits."""
-    picture, tiles = TilePicture(LogOdds().table(PALETTES["ros"])), 80_000
+    picture, tiles = MapPicture(LogOdds().table(PALETTES["ros"])), 80_000
     picture._rect = CellRect(0, 0, tiles * TILE, TILE)
     picture._slots = np.ones((tiles, 1), np.uint64)
     picture._sums = np.zeros((2, 3), np.int64)  # greys of 0
@@ -252,7 +252,7 @@ def test_a_map_that_is_reset_and_then_outgrows_what_it_was():
 
 def test_greys_that_are_never_0():
     desk = Desk()
-    desk.picture = TilePicture(np.maximum(LogOdds().table(PALETTES["probability"]), 9))
+    desk.picture = MapPicture(np.maximum(LogOdds().table(PALETTES["probability"]), 9))
     desk.fill(1, 1, noise(desk.rng))
     copies = copy_tiles(desk.store, desk.revision)
     grey = pixels(desk.picture.png(copies, desk.store.rect))

@@ -39,7 +39,7 @@ def random_map(cells, seed, *, scans=30, longest=10.0, **changes):
     """A small map, and the scans in it with their poses."""
     rng = np.random.default_rng(seed)
     model = LogOdds(cells, p_prior=0.45, l_min=-2.0, l_max=3.0)
-    settings = GridSettings(**{"resolution": 0.5, "model": model, "alpha": 0.1, **changes})
+    settings = GridSettings(**{"resolution": 0.5, "cell_model": model, "alpha": 0.1, **changes})
     grid = OccupancyGrid(settings, "e")
     placed = []
     for _ in range(scans):
@@ -59,7 +59,9 @@ def bits(p):
 
 
 def test_entropy_and_areas_in_closed_form():
-    grid = OccupancyGrid(GridSettings(resolution=0.5, model=LogOdds("float64", p_occ=0.8, p_free=0.1)), "e")
+    grid = OccupancyGrid(
+        GridSettings(resolution=0.5, cell_model=LogOdds("float64", p_occ=0.8, p_free=0.1)), "e"
+    )
     grid.integrate(scan_of([2.0]), Pose(0.25, 0.25, 0.0))  # three cells at 0.1, one at 0.8
     figures = map_figures(grid.snapshot())
     assert figures == pytest.approx(
@@ -140,8 +142,8 @@ def test_consistency_is_that_of_every_cell_of_every_beam(cells, changes):
 
 
 def test_consistency_counts_each_beam_anew_and_one_half_as_neither():
-    settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
-    consistency = Consistency(snapshot_of([[1.0, -1.0, -0.0, 1.0]], settings.model), settings)
+    settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
+    consistency = Consistency(snapshot_of([[1.0, -1.0, -0.0, 1.0]], settings.cell_model), settings)
     consistency.add(PlacedScan(scan_of([1.5, 1.5, 1.0], angle_increment=1e-9), Pose(0.25, 0.25, 0.0)))
     # Hits: cell 3 twice, and cell 2 at one half. Passed: cell 1 three times, cell 2 twice at one half.
     assert consistency.figures() == pytest.approx({"hits": 2 / 3, "free": 3 / 5})
@@ -200,8 +202,8 @@ CORRIDOR = [[-2.0] * 20 + [2.0]] * 3
     ],
 )
 def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
-    settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
-    snapshot = snapshot_of(CORRIDOR, settings.model)
+    settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
+    snapshot = snapshot_of(CORRIDOR, settings.cell_model)
     figures = held_out(snapshot, settings, [PlacedScan(scan_of([measured]), Pose(x, 0.75, theta))])
     assert figures["median_abs_m"] == pytest.approx(error, abs=1e-6)
     assert (figures["beams"], figures["into_unknown"]) == (1, 0.0)
@@ -220,10 +222,10 @@ def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
     ],
 )
 def test_what_is_not_clearly_free_stops_a_ray(cell, found):
-    settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
+    settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
     row = [[-2.0] * 8 + [cell] + [-2.0] * 11 + [2.0]]
     figures = held_out(
-        snapshot_of(row, settings.model), settings, [PlacedScan(scan_of([3.75]), Pose(0.25, 0.25, 0.0))]
+        snapshot_of(row, settings.cell_model), settings, [PlacedScan(scan_of([3.75]), Pose(0.25, 0.25, 0.0))]
     )
     assert figures["into_unknown"] == float(found == "unknown")
     assert figures["within_0_1_m"] == float(found == "wall")
@@ -233,7 +235,7 @@ def test_what_is_not_clearly_free_stops_a_ray(cell, found):
 def test_a_cell_is_decided_relative_to_the_prior():
     model = LogOdds("float64", p_prior=0.25, p_free=0.1)
     assert model.l0 == pytest.approx(-1.0986, abs=1e-4)
-    settings = GridSettings(resolution=0.5, model=model)
+    settings = GridSettings(resolution=0.5, cell_model=model)
     row = [[-2.0, -2.0, -2.0, -0.4]]  # -0.4 is 0.7 above the prior
     figures = held_out(
         snapshot_of(row, model), settings, [PlacedScan(scan_of([1.25]), Pose(0.25, 0.25, 0.0))]
@@ -242,10 +244,10 @@ def test_a_cell_is_decided_relative_to_the_prior():
 
 
 def test_a_ray_is_cast_no_farther_than_25_m():
-    settings = GridSettings(resolution=0.5, model=LogOdds("float64"))
+    settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
     row = [[-2.0] * 60 + [2.0]]
     scans = [PlacedScan(scan_of([3.0]), Pose(x, 0.25, 0.0)) for x in (0.25, 4.99, 5.01, 16.0)]
-    figures = held_out(snapshot_of(row, settings.model), settings, scans)
+    figures = held_out(snapshot_of(row, settings.cell_model), settings, scans)
     # The wall is at 30 m: the first two find nothing, the others are 21.99 m and 11 m off.
     assert (figures["beams"], figures["into_unknown"]) == (4, 0.0)
     assert figures["median_abs_m"] == pytest.approx((21.99 + 11.0) / 2)

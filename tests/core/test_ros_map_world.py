@@ -13,9 +13,10 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
 from ogm_core.simulation import ros_map_world as map_world
+from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure, true_ranges
 from ogm_core.simulation.ros_map_world import outlines
-from ogm_core.simulation.worlds import dump_world, load_world, world_named
+from ogm_core.simulation.worlds import dump_world, load_world
 from ogm_core.types import Pose, Scan
 
 LATTICE = Lattice(0.1, (-1.3, 2.7))

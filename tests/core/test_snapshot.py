@@ -28,7 +28,7 @@ def snapshot(cells, model=MODELS[0], offset=(0, 0), lattice=None, **fields):
 def random_cells(model, shape, seed, share_known=0.5):
     """Stored cells over the whole range of the type, many of them undecided, some exactly at log_odds = 0."""
     rng = np.random.default_rng(seed)
-    update = model.update
+    update = model.constants
     known = rng.random(shape) < share_known
     near = rng.random(shape) < 0.7
     if model.cells == "int16":

@@ -198,7 +198,7 @@ def wall_thickness(grid):
 def end_spread(grid, placed):
     """Root mean square distance of the hits' end points from the wall that they saw, m."""
     fine = GridSettings(0.001)
-    cells = np.concatenate([project(each, fine.lattice()[0], fine).cells for each in placed], axis=1)
+    cells = np.concatenate([project(each, fine.lattice, fine).ends for each in placed], axis=1)
     x, y = (cells[:2, cells[2] == HIT] + 0.5) * 0.001
     return float(np.sqrt(np.mean(np.minimum(abs(abs(x) - 4.0), abs(abs(y) - 2.5)) ** 2)))
 

@@ -6,8 +6,8 @@ import pytest
 import naive
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import copy_tiles
-from ogm_core.tiles.store import TILE, StripStore
-from ogm_core.tiles.view import TiledCells
+from ogm_core.tiles.store import TILE, TileStore
+from ogm_core.tiles.view import TileView
 
 INT16, FLOAT64 = np.dtype(np.int16), np.dtype(np.float64)
 
@@ -16,7 +16,7 @@ class Desk:
     """A store, its revision, and writers of cells."""
 
     def __init__(self, rect, dtype=INT16, seed=0):
-        self.store = StripStore(rect, dtype)
+        self.store = TileStore(rect, dtype)
         self.revision = 0
         self.rng = np.random.default_rng(seed)
 
@@ -45,7 +45,7 @@ class Desk:
 
 
 def cells_of(copies, dtype=INT16, rect=None):
-    return TiledCells(copies, rect or copies.rect, dtype, {}).dense()
+    return TileView(copies, rect or copies.rect, dtype, {}).dense()
 
 
 @pytest.mark.parametrize("dtype", [INT16, FLOAT64])
@@ -148,7 +148,7 @@ def test_any_part_can_be_laid_out(dtype):
         west, east = sorted(desk.rng.choice(frame.width + 1, 2, replace=False).tolist())
         south, north = sorted(desk.rng.choice(frame.height + 1, 2, replace=False).tolist())
         rect = CellRect(frame.ix + west, frame.iy + south, east - west, north - south)
-        part = TiledCells(copies, rect, dtype, {})
+        part = TileView(copies, rect, dtype, {})
         expected = whole[south:north, west:east]
         assert part.shape == expected.shape
         cuts = slice(1, rect.height // 2), slice(rect.width // 3, rect.width)

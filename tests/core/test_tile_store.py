@@ -9,7 +9,7 @@ import pytest
 import naive
 from ogm_core.errors import LimitReached
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.store import TILE, StripStore
+from ogm_core.tiles.store import TILE, TileStore
 
 INT16 = np.dtype(np.int16)
 NOWHERE = CellRect(0, 0, 0, 0)
@@ -27,7 +27,7 @@ def write(store, ix, iy, value):
 def filled(rect, count, seed=0, dtype=INT16):
     """A store with some cells written, and the same cells in a dictionary."""
     rng = np.random.default_rng(seed)
-    store, cells = StripStore(rect, dtype), {}
+    store, cells = TileStore(rect, dtype), {}
     for value in range(1, count + 1):
         cell = rect.ix + int(rng.integers(rect.width)), rect.iy + int(rng.integers(rect.height))
         write(store, *cell, value)
@@ -56,7 +56,7 @@ def assert_holds(store, cells):
     ],
 )
 def test_a_store_is_a_rectangle_of_whole_tiles(rect, tiles):
-    store = StripStore(rect, INT16)
+    store = TileStore(rect, INT16)
     assert store.rect == tiles
     assert store.touched.shape == (tiles.width // 64, tiles.height // 64)
     assert naive.stored(store, store.rect).shape == (tiles.height, tiles.width)
@@ -64,7 +64,7 @@ def test_a_store_is_a_rectangle_of_whole_tiles(rect, tiles):
 
 
 def test_every_cell_has_an_address_of_its_own_and_every_tile_a_block():
-    store = StripStore(CellRect(0, 0, 192, 128), INT16)
+    store = TileStore(CellRect(0, 0, 192, 128), INT16)
     addresses = store.column[:, None] + TILE * np.arange(128)
     assert np.array_equal(np.sort(addresses, axis=None), np.arange(192 * 128))
     for tx, ty in itertools.product(range(3), range(2)):
@@ -107,7 +107,7 @@ def test_growth_moves_the_cells(beyond):
 
 
 def test_growth_leaves_room_only_where_it_grew():
-    old = StripStore(CellRect(0, 0, 256, 128), INT16)
+    old = TileStore(CellRect(0, 0, 256, 128), INT16)
     assert old.grown(CellRect(250, 10, 10, 10)).rect == CellRect(0, 0, 448, 128)  # 260 + 256 / 2, in tiles
     assert old.grown(CellRect(-1, 10, 10, 10)).rect == CellRect(-192, 0, 448, 128)
     assert old.grown(CellRect(10, 128, 1, 1)).rect == CellRect(0, 0, 256, 256)
@@ -115,7 +115,7 @@ def test_growth_leaves_room_only_where_it_grew():
 
 
 def test_growth_step_by_step_copies_little():
-    store, copied, growths = StripStore(CellRect(0, 0, 64, 64), INT16), 0, 0
+    store, copied, growths = TileStore(CellRect(0, 0, 64, 64), INT16), 0, 0
     write(store, 0, 0, 1)
     for ix in range(0, 20_000, 16):
         cell = CellRect(ix, 0, 1, 1)
@@ -131,9 +131,9 @@ def test_growth_step_by_step_copies_little():
 
 
 def test_the_first_growth_of_an_empty_store_is_exact():
-    store = StripStore(NOWHERE, INT16).grown(CellRect(5000, -5000, 10, 10))
+    store = TileStore(NOWHERE, INT16).grown(CellRect(5000, -5000, 10, 10))
     assert store.rect == CellRect(4992, -5056, 64, 128)
-    store.take(StripStore(NOWHERE, INT16))
+    store.take(TileStore(NOWHERE, INT16))
     assert not store.cells.any()
 
 
@@ -157,7 +157,7 @@ def test_tiles_and_bytes_are_counted():
 
 
 def test_untouched_tiles_of_a_store_that_does_not_begin_at_zero():
-    store = StripStore(CellRect(-128, 64, 256, 64), INT16)
+    store = TileStore(CellRect(-128, 64, 256, 64), INT16)
     write(store, -128, 64, 1)
     assert store.untouched_tiles(CellRect(-128, 64, 256, 64)) == 3
     assert store.untouched_tiles(CellRect(-65, 127, 1, 1)) == 0
@@ -173,7 +173,7 @@ def resident():
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system does not tell")
 def test_memory_comes_with_the_first_write():
     before = resident()
-    store = StripStore(CellRect(0, 0, 16_384, 16_384), INT16)  # 512 MB
+    store = TileStore(CellRect(0, 0, 16_384, 16_384), INT16)  # 512 MB
     for cell in range(0, 16_384, 64):
         write(store, cell, cell, 1)
     assert resident() - before < 64 * 1024**2
@@ -181,14 +181,14 @@ def test_memory_comes_with_the_first_write():
 
 def test_no_address_space_is_a_limit():
     with pytest.raises(LimitReached, match="no address space"):
-        StripStore(CellRect(0, 0, 2**31, 2**31), INT16)
+        TileStore(CellRect(0, 0, 2**31, 2**31), INT16)
 
 
 def test_what_is_written_is_read_back_and_takes_only_the_tiles_it_needs():
     rng = np.random.default_rng(8)
     dense = rng.integers(-5, 5, (130, 200)).astype(np.int16)
     dense[:, 40:150] = 0
-    store = StripStore(CellRect(-100, 30, 400, 300), INT16)
+    store = TileStore(CellRect(-100, 30, 400, 300), INT16)
     rect = CellRect(-70, 50, 200, 130)
     store.write(rect, dense)
     assert np.array_equal(naive.stored(store, rect), dense)
@@ -202,7 +202,7 @@ def test_what_is_written_is_read_back_and_takes_only_the_tiles_it_needs():
 
 
 def test_a_cell_of_minus_zero_is_written():
-    store = StripStore(CellRect(0, 0, 64, 64), np.dtype(np.float64))
+    store = TileStore(CellRect(0, 0, 64, 64), np.dtype(np.float64))
     dense = np.zeros((2, 2))
     dense[1, 0] = -0.0
     store.write(CellRect(3, 4, 2, 2), dense)
@@ -212,8 +212,8 @@ def test_a_cell_of_minus_zero_is_written():
 
 def test_the_first_cells_get_room_around_where_its_tables_are_a_small_part_of_the_memory():
     first = CellRect(5000, -5000, 10, 10)
-    store = StripStore(NOWHERE, INT16).grown(first, max_bytes=2**31)
+    store = TileStore(NOWHERE, INT16).grown(first, max_bytes=2**31)
     for beyond in (CellRect(904, -9096, 1, 1), CellRect(9105, -895, 1, 1)):
         assert store.rect.contains(beyond)
     assert store.nbytes < 2**31 / 100
-    assert StripStore(NOWHERE, INT16).grown(first, max_bytes=10**6).rect == CellRect(4992, -5056, 64, 128)
+    assert TileStore(NOWHERE, INT16).grown(first, max_bytes=10**6).rect == CellRect(4992, -5056, 64, 128)

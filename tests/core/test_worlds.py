@@ -8,8 +8,9 @@ import pytest
 from ogm_core.errors import BadWorld
 from ogm_core.files.strict_yaml import parse_yaml
 from ogm_core.lattice import Region
+from ogm_core.simulation.catalogue import office, world_named
 from ogm_core.simulation.trajectories import CirclePath, WaypointPath
-from ogm_core.simulation.worlds import dump_world, lab, load_world, office, world_named
+from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_core.types import Pose
 
 TOO_DEEP = "lists and mappings lie in each other more than 50 deep", "exceeded maximum nesting depth"
@@ -294,7 +295,7 @@ def test_missing_files_name_the_built_in_worlds(name, tmp_path, monkeypatch):
 
 def test_worlds_load_neither_pictures_nor_ways():
     code = (
-        "import sys; from ogm_core.simulation.worlds import world_named; world_named('office')\n"
+        "import sys; from ogm_core.simulation.catalogue import world_named; world_named('office')\n"
         "print({'PIL', 'scipy', 'ogm_core.simulation.patrol'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

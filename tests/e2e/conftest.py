@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 STARTED = 60.0
 """How long a command may take to start, s: on a fresh checkout it compiles its kernels."""

@@ -11,7 +11,8 @@ from PIL import Image
 
 import naive_truth
 from ogm_core.lattice import Lattice
-from ogm_core.simulation.worlds import lab, world_named
+from ogm_core.simulation.catalogue import world_named
+from ogm_core.simulation.worlds import lab
 from ogm_services.results.figure import OBSTACLES, ROBOTS, UNKNOWN
 
 FIGURES = ("accuracy", "precision", "recall", "iou", "log_loss")

@@ -111,7 +111,7 @@ def test_a_fleet_loses_no_scan(robots):
     with Fleet(robots, NoMap()) as fleet:
         assert (fleet.round() > 0.0).all()
         assert (fleet.round() > 0.0).all()
-    status = fleet.ledger.status()
+    status = fleet.receipts.status()
     scans = status["scans"]
     assert scans["received"] == scans["integrated"] == status["poses"]["received"] >= robots * RATE
     assert status["poses"]["late"] == 0

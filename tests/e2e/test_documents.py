@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import typer
 
+from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.types import IDENTITY, PoseStamped, Scan
 from ogm_core.wire.keys import SERVICES, MapKeys
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.cli import app
-from ogm_services.mapper.ledger import DROP_REASONS
 from ogm_services.runtime import endings
 from ogm_services.settings.settings import Settings
 

@@ -19,7 +19,7 @@ import yaml
 from PIL import Image
 
 from ogm_client import MapClient, Ray
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCANS = 100

@@ -24,7 +24,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

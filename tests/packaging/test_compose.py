@@ -14,7 +14,7 @@ import zenoh
 
 from ogm_client.session import resolve_listen
 from ogm_services.cli import app
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 DOCKER = Path(__file__).parents[2] / "docker"
 COMPOSE = yaml.safe_load((DOCKER / "compose.yaml").read_text())

@@ -12,7 +12,7 @@ import typer
 
 from ogm_services.cli import app
 from ogm_services.runtime.endings import BAD_INPUT
-from ogm_services.settings.settings import load_settings
+from ogm_services.settings.sources import load_settings
 
 UNIT = Path(__file__).parents[2] / "docker/ogm-mapper.service"
 ON = ("DynamicUser", "ProtectHome", "PrivateTmp", "PrivateDevices", "NoNewPrivileges", "RestrictNamespaces")

@@ -14,10 +14,10 @@ from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.placing.receipts import Receipts
 from ogm_core.types import Pose, Scan
-from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.monitor import Observer
+from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import answers as answers_module
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.replies.answer import UnknownName
@@ -31,8 +31,8 @@ class Desk:
 
     def __init__(self, monkeypatch, settings):
         self.live = LiveMap(OccupancyGrid(settings, "epoch"))
-        self.ledger = Ledger()
-        self.answers = Answers("hall", self.live, self.ledger, Observer(self.live))
+        self.receipts = Receipts()
+        self.answers = Answers("hall", self.live, self.receipts, Monitor(self.live))
         self.encoded = []
         for name in ("json", "npz", "png", "pgm", "yaml"):
             self._count(monkeypatch, name)
@@ -177,12 +177,15 @@ def test_a_cell_that_is_back_at_the_prior_is_known(desk):
 
 def test_a_float64_map_with_bounds(monkeypatch):
     settings = GridSettings(
-        resolution=0.5, model=LogOdds(cells="float64"), bounds=Region(-1.0, -2.0, 5.0, 2.0), outside="drop"
+        resolution=0.5,
+        cell_model=LogOdds(cells="float64"),
+        bounds=Region(-1.0, -2.0, 5.0, 2.0),
+        outside="drop",
     )
     desk = Desk(monkeypatch, settings)
     desk.scan(2.0)
     cell = desk.cell("2.2", "0.2")
-    assert (cell["ix"], cell["iy"], cell["log_odds"]) == (6, 4, settings.model.d_occ)
+    assert (cell["ix"], cell["iy"], cell["log_odds"]) == (6, 4, settings.cell_model.d_occ)
     with np.load(io.BytesIO(desk.answers.map("npz", {}).body)) as npz:
         log_odds = npz["log_odds"]
         assert (log_odds.dtype, log_odds.shape) == (np.float64, (8, 12))
@@ -192,13 +195,13 @@ def test_a_float64_map_with_bounds(monkeypatch):
 
 
 def test_status_is_of_the_map_and_the_books(desk):
-    desk.ledger.pose_received("r")
-    desk.ledger.scan_received("r", "s")
+    desk.receipts.pose_received("r")
+    desk.receipts.scan_received("r", "s")
     desk.scan(2.0, stamp=7)
-    desk.ledger.scan_integrated("r", "s")
+    desk.receipts.scan_integrated("r", "s")
     status = json.loads(desk.answers.status({}).body)
     assert (status["map"], status["epoch"], status["revision"], status["stamp"]) == ("hall", "epoch", 1, 7)
-    books = desk.ledger.status()
+    books = desk.receipts.status()
     assert {name: status[name] for name in books} == books
     assert status["map_info"] == desk.live.info()
 

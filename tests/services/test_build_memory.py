@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ogm_services.commands import build
-from ogm_services.settings.settings import load_settings
+from ogm_services.settings.sources import load_settings
 from rough_log import write_rough_log
 
 

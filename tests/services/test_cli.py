@@ -17,7 +17,8 @@ from ogm_services.cli import app
 from ogm_services.commands.simulator_options import SimulatorOptions
 
 MAP_FLAGS = (
-    "--preset --resolution --model --traversal --p-occ --p-free --p-prior --alpha --l-min --l-max --reach "
+    "--preset --resolution --sensor-model --cell-model --traversal --p-occ --p-free --p-prior "
+    "--alpha --l-min --l-max --reach "
     "--clear-range --cells --bounds --outside"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"

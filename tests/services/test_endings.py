@@ -3,7 +3,7 @@ import signal
 import pytest
 import typer
 
-from ogm_services.runtime.endings import held_signals, running_service
+from ogm_services.runtime.signals import held_signals, running_service
 
 
 @pytest.fixture(autouse=True)

@@ -259,7 +259,7 @@ def test_what_a_map_was_made_with():
     )
     assert describe(snapshot, GridSettings(traversal="dda")).endswith("model beam, traversal dda")
     one = snapshot_of([[0.2]], resolution=0.1, revision=1)
-    assert describe(one, GridSettings(sensor="sector")) == "1 scan, resolution 0.1 m, model sector"
+    assert describe(one, GridSettings(sensor_model="sector")) == "1 scan, resolution 0.1 m, model sector"
 
 
 def drawing():

@@ -11,7 +11,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.quality.figures import map_figures
 from ogm_core.types import Pose, Scan
-from ogm_services.mapper.live.history import CAPACITY, PERIOD, REST, Sample, Series, sample_of
+from ogm_services.mapper.live.history import CAPACITY, PERIOD, REST, History, Sample, sample_of
 
 FIELDS = ["stamp", "revision", "mean_entropy_bits", "entropy_bits", "known_m2"]
 
@@ -37,7 +37,7 @@ def revisions(series, epoch="e"):
 
 
 def test_a_sample_is_what_its_fields_say():
-    series = Series()
+    series = History()
     assert series.columns("e") == {name: [] for name in FIELDS}
     look(series, 8, 3.0)
     look(series, 12, 4.0)
@@ -52,7 +52,7 @@ def test_a_sample_is_what_its_fields_say():
 
 def test_samples_are_a_second_apart_and_of_a_map_that_has_changed():
     assert PERIOD == 1.0
-    series = Series()
+    series = History()
     assert look(series, 1, 10.0)
     assert not look(series, 2, 10.999)
     assert look(series, 2, 11.0)
@@ -63,7 +63,7 @@ def test_samples_are_a_second_apart_and_of_a_map_that_has_changed():
 
 
 def test_when_it_is_full_every_second_one_goes_and_the_period_doubles():
-    series = Series()
+    series = History()
     for second in range(CAPACITY):
         assert look(series, second, float(second))
     assert revisions(series) == list(range(CAPACITY))
@@ -75,7 +75,7 @@ def test_when_it_is_full_every_second_one_goes_and_the_period_doubles():
 
 
 def test_in_a_day_it_stays_bounded_even_and_complete():
-    series = Series()
+    series = History()
     lengths = set()
     for second in range(86_400):
         look(series, second, float(second))
@@ -89,7 +89,7 @@ def test_in_a_day_it_stays_bounded_even_and_complete():
 
 def test_a_look_that_took_long_is_followed_by_a_long_rest():
     assert REST == 50.0
-    series = Series()
+    series = History()
     assert look(series, 1, 10.0, cost=0.1)
     assert not look(series, 2, 10.1 + 4.99)
     assert look(series, 2, 10.1 + 5.01)
@@ -98,7 +98,7 @@ def test_a_look_that_took_long_is_followed_by_a_long_rest():
 
 
 def test_a_look_at_a_map_without_a_known_cell_costs_and_keeps_nothing():
-    series = Series()
+    series = History()
     assert look(series, 1, 10.0, cost=0.1, known=False)
     assert not look(series, 2, 15.0, known=False)
     assert look(series, 2, 16.0, known=False)
@@ -108,7 +108,7 @@ def test_a_look_at_a_map_without_a_known_cell_costs_and_keeps_nothing():
 
 
 def test_a_new_epoch_is_a_new_series_at_once():
-    series = Series()
+    series = History()
     for second in range(CAPACITY + 2):
         look(series, second, float(second), cost=0.001)
     look(series, 999, 999.0, cost=10.0)
@@ -122,7 +122,7 @@ def test_a_new_epoch_is_a_new_series_at_once():
 
 
 def test_a_map_that_was_reset_between_two_looks_at_its_revision_is_looked_at():
-    series = Series()
+    series = History()
     assert look(series, 5, 10.0)
     assert look(series, 5, 10.1, epoch="other")
     assert (revisions(series), revisions(series, "other")) == ([], [5])

@@ -14,7 +14,7 @@ import pytest
 from ogm_core.errors import BadSetting
 from ogm_services.runtime import kernel_cache
 from ogm_services.runtime.kernel_cache import NoKernelCache
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("ogm_core", "services/ogm_services", "clients/ogm_client")

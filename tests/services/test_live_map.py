@@ -23,7 +23,7 @@ HERE = Pose(0.25, 0.25, 0.0)
 SETTINGS = GridSettings(resolution=0.5)
 MADE = [
     SETTINGS,
-    GridSettings(resolution=0.5, model=LogOdds(cells="float64")),
+    GridSettings(resolution=0.5, cell_model=LogOdds(cells="float64")),
     GridSettings(resolution=0.5, bounds=Region(-9.0, -9.0, 99.0, 9.0)),
 ]
 

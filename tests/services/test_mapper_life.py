@@ -10,9 +10,9 @@ import pytest
 
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
-from ogm_services.mapper.intake.worker import Unavailable
 from ogm_services.mapper.service import CannotServe
 from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.replies.answer import Unavailable
 
 
 class BrokenAnswers:
@@ -127,7 +127,7 @@ def test_a_reset_that_waits_does_not_hold_up_the_end(start_mapper, in_background
     with start_mapper() as mapper:
         in_background(mapper.service._worker.do, release.wait)
         replies = [in_background(mapper.http.post, "/reset"), in_background(mapper.ask, "reset")]
-        eventually(lambda: len(mapper.service._inbox._items) == 2)
+        eventually(lambda: len(mapper.service._queue._items) == 2)
         threading.Timer(0.2, release.set).start()
         started = time.monotonic()
         mapper.service.__exit__(None, None, None)

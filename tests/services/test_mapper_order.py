@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from mapper_desk import MS, T0, Desk
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan
-from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.mapper import Mapper
 
 
 def test_a_scan_gets_the_pose_at_its_stamp():
@@ -152,21 +152,21 @@ def test_equal_messages_in_equal_order_give_equal_calls_and_counts(messages):
     first, second = Desk(), Desk()
     assert list(feed(first, messages)) == list(feed(second, messages))
     assert first.sink.placed == second.sink.placed
-    assert first.ledger.status() == second.ledger.status()
+    assert first.receipts.status() == second.receipts.status()
 
 
 def test_equal_messages_in_equal_order_give_equal_cells():
     def build():
         rng = np.random.default_rng(1)
-        grid, ledger = OccupancyGrid(GridSettings(), "e"), Ledger()
-        mapper = Mapper(grid, ledger)
+        grid, receipts = OccupancyGrid(GridSettings(), "e"), Receipts()
+        mapper = ScanPlacer(grid, receipts, lambda *_: None)
         for k in range(60):
             ranges = rng.uniform(0.5, 6.0, 40).astype(np.float32)
             stamp = T0 + k * 50 * MS + int(rng.integers(-60 * MS, 60 * MS))
-            ledger.scan_received("r", "s")
+            receipts.scan_received("r", "s")
             mapper.add_scan("r", "s", Scan(stamp, -2.0, 0.1, 0.0, 8.0, ranges, seq=k, run="a"))
             mapper.add_pose("r", PoseStamped(T0 + k * 50 * MS, Pose(*rng.uniform(-3, 3, 3)), run="a"))
-        return grid.snapshot(), ledger.status()
+        return grid.snapshot(), receipts.status()
 
     (first, counts), (second, again) = build(), build()
     assert first.cells.any()

@@ -6,7 +6,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from ogm_services.mapper.mapper import MAX_WAITING
+from ogm_core.placing.scan_placer import MAX_WAITING
 
 INF, NAN = math.inf, math.nan
 HERE = [0.0, 0.0, 0.0]

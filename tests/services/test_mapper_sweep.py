@@ -8,9 +8,9 @@ import pytest
 from mapper_desk import MS, T0, Desk
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan
-from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.mapper import Mapper
 
 
 def test_every_beam_gets_the_pose_of_its_time():
@@ -68,7 +68,7 @@ def test_a_map_of_sweeps_is_that_of_their_beams_one_by_one():
     maps = []
     for split in (False, True):
         grid = OccupancyGrid(GridSettings(0.1))
-        mapper = Mapper(grid, Ledger())
+        mapper = ScanPlacer(grid, Receipts(), lambda *_: None)
         for n in range(8):
             mapper.add_pose("r", PoseStamped(T0 + 20 * n * MS, Pose(n * 0.2, n * n * 0.05, n * 0.3)))
         ranges = np.linspace(1, 6, 12, dtype=np.float32)

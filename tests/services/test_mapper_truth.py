@@ -9,7 +9,8 @@ import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.quality.truth import truth_figures
-from ogm_core.simulation.worlds import dump_world, lab, load_world, office
+from ogm_core.simulation.catalogue import office
+from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_services.mapper.live import history as series_module
 from ogm_services.mapper.live import live_map as live_map_module
 from ogm_services.mapper.live import monitor as observer_module

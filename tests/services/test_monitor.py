@@ -13,7 +13,7 @@ from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import history as series_module
 from ogm_services.mapper.live import monitor as observer_module
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.monitor import LOOK_PERIOD, Observer
+from ogm_services.mapper.live.monitor import LOOK_PERIOD, Monitor
 
 
 class Watched:
@@ -21,7 +21,7 @@ class Watched:
 
     def __init__(self):
         self.live = LiveMap(OccupancyGrid(GridSettings(resolution=0.5), "first"))
-        self.observer = Observer(self.live)
+        self.observer = Monitor(self.live)
         self.told = []
         self.asked = 0
 
@@ -106,7 +106,7 @@ def test_while_it_waits_for_the_network_the_map_is_written_and_read(watched, eve
         assert answered.wait(10.0)
         return []
 
-    slow = Observer(watched.live)
+    slow = Monitor(watched.live)
     slow.start(ask)
     assert waiting.wait(10.0)
     watched.scan()
@@ -116,4 +116,4 @@ def test_while_it_waits_for_the_network_the_map_is_written_and_read(watched, eve
 
 
 def test_one_that_was_never_started_can_be_stopped():
-    Observer(Watched().live).stop()
+    Monitor(Watched().live).stop()

@@ -4,7 +4,7 @@ import pytest
 from fastapi import Request
 
 from ogm_services.mapper.live.live_map import Identity
-from ogm_services.mapper.serving import http_routes as http_side
+from ogm_services.mapper.serving import ready_maps as http_side
 from ogm_services.replies.answer import Answer
 
 META = {"epoch": "e", "revision": 3, "stamp": 7, "resolution": 0.1, "origin": {"x": 0.0, "y": 0.0}}
@@ -25,7 +25,7 @@ def request(query):
 
 @pytest.fixture
 def ready():
-    return http_side._ReadyMaps(Map())
+    return http_side.ReadyMaps(Map())
 
 
 def keep(ready, body, queries):

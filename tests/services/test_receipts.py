@@ -4,14 +4,14 @@ import threading
 
 import pytest
 
+from ogm_core.placing.receipts import DROP_REASONS, Receipts
 from ogm_core.types import Pose
-from ogm_services.mapper.ledger import DROP_REASONS, Ledger
 
 NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
 
 
 def test_an_empty_ledger_has_every_name_of_the_status():
-    assert Ledger().status() == {
+    assert Receipts().status() == {
         "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED},
         "poses": {"received": 0, "malformed": 0, "late": 0},
         "other": {"ignored": 0},
@@ -21,15 +21,15 @@ def test_an_empty_ledger_has_every_name_of_the_status():
 
 
 def test_scans_are_counted_by_source_and_in_total():
-    ledger = Ledger()
+    receipts = Receipts()
     for robot, sensor in (("a", "s"), ("a", "s"), ("a", "t"), ("b", "s"), ("b", "s")):
-        ledger.scan_received(robot, sensor)
-    ledger.scan_taken("a", "s", "run1", 4)
-    ledger.scan_integrated("a", "s")
-    ledger.scan_taken("b", "s", "run2", 9)
-    ledger.scan_dropped("b", "s", "stale")
-    ledger.scan_dropped("b", "s", "malformed")
-    status = ledger.status()
+        receipts.scan_received(robot, sensor)
+    receipts.scan_taken("a", "s", "run1", 4)
+    receipts.scan_integrated("a", "s")
+    receipts.scan_taken("b", "s", "run2", 9)
+    receipts.scan_dropped("b", "s", "stale")
+    receipts.scan_dropped("b", "s", "malformed")
+    status = receipts.status()
     assert status["scans"] == {
         "received": 5,
         "integrated": 1,
@@ -47,11 +47,11 @@ def test_scans_are_counted_by_source_and_in_total():
 
 @pytest.mark.parametrize("reason", DROP_REASONS)
 def test_a_dropped_scan_is_not_pending(reason):
-    ledger = Ledger()
-    ledger.scan_received("a", "s")
-    assert ledger.status()["scans"]["pending"] == 1
-    ledger.scan_dropped("a", "s", reason)
-    assert ledger.status()["scans"] == {
+    receipts = Receipts()
+    receipts.scan_received("a", "s")
+    assert receipts.status()["scans"]["pending"] == 1
+    receipts.scan_dropped("a", "s", reason)
+    assert receipts.status()["scans"] == {
         "received": 1,
         "integrated": 0,
         "pending": 0,
@@ -60,59 +60,59 @@ def test_a_dropped_scan_is_not_pending(reason):
 
 
 def test_the_last_seq_is_that_of_the_scan_taken_last():
-    ledger = Ledger()
+    receipts = Receipts()
     for run, seq in (("x", 5), ("x", 7), ("y", 0)):
-        ledger.scan_taken("a", "s", run, seq)
-    source = ledger.status()["robots"]["a"]["sources"]["s"]
+        receipts.scan_taken("a", "s", run, seq)
+    source = receipts.status()["robots"]["a"]["sources"]["s"]
     assert (source["run"], source["last_seq"]) == ("y", 0)
 
 
 def test_poses_and_other_messages():
-    ledger = Ledger()
+    receipts = Receipts()
     for _ in range(4):
-        ledger.pose_received("a")
-    ledger.pose_refused("late")
-    ledger.pose_refused("malformed")
-    ledger.pose_refused("late")
-    ledger.ignored()
-    status = ledger.status()
+        receipts.pose_received("a")
+    receipts.pose_refused("late")
+    receipts.pose_refused("malformed")
+    receipts.pose_refused("late")
+    receipts.ignored()
+    status = receipts.status()
     assert status["poses"] == {"received": 4, "malformed": 1, "late": 2}
     assert status["other"] == {"ignored": 1}
     assert status["robots"] == {"a": {"pose": None, "stamp": None, "sources": {}}}
 
 
 def test_a_robot_is_where_it_was_last_said_to_be():
-    ledger = Ledger()
-    ledger.located("a", 5, Pose(1.0, 2.0, 3.0))
-    ledger.located("a", 7, Pose(4.0, 5.0, 6.0))
-    assert ledger.status()["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
+    receipts = Receipts()
+    receipts.located("a", 5, Pose(1.0, 2.0, 3.0))
+    receipts.located("a", 7, Pose(4.0, 5.0, 6.0))
+    assert receipts.status()["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
 
 
 def test_a_status_is_a_copy():
-    ledger = Ledger()
-    ledger.scan_received("a", "s")
-    before = ledger.status()
+    receipts = Receipts()
+    receipts.scan_received("a", "s")
+    before = receipts.status()
     before["poses"]["received"] = 99
     before["robots"].clear()
-    assert ledger.status()["poses"]["received"] == 0
-    assert list(ledger.status()["robots"]) == ["a"]
+    assert receipts.status()["poses"]["received"] == 0
+    assert list(receipts.status()["robots"]) == ["a"]
 
 
 def test_the_books_balance_at_every_moment_whatever_other_threads_do():
-    ledger, rounds = Ledger(), 2000
+    receipts, rounds = Receipts(), 2000
     done = threading.Event()
 
     def work(robot):
         for k in range(rounds):
-            ledger.scan_received(robot, f"s{k % 3}")
+            receipts.scan_received(robot, f"s{k % 3}")
             if k % 2:
-                ledger.scan_integrated(robot, f"s{k % 3}")
+                receipts.scan_integrated(robot, f"s{k % 3}")
             else:
-                ledger.scan_dropped(robot, f"s{k % 3}", "no_pose")
+                receipts.scan_dropped(robot, f"s{k % 3}", "no_pose")
 
     def watch():
         while not done.is_set():
-            scans = ledger.status()["scans"]
+            scans = receipts.status()["scans"]
             total = scans["integrated"] + scans["pending"] + sum(scans["dropped"].values())
             if scans["received"] != total or scans["pending"] not in (0, 1, 2, 3):
                 unbalanced.append(scans)
@@ -127,5 +127,5 @@ def test_the_books_balance_at_every_moment_whatever_other_threads_do():
     done.set()
     watcher.join(20)
     assert unbalanced == []
-    scans = ledger.status()["scans"]
+    scans = receipts.status()["scans"]
     assert (scans["received"], scans["integrated"], scans["pending"]) == (3 * rounds, 3 * rounds // 2, 0)

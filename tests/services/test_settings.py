@@ -8,7 +8,8 @@ from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_services.settings.settings import Settings, load_settings, without_settings
+from ogm_services.settings.settings import Settings
+from ogm_services.settings.sources import load_settings, without_settings
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def test_defaults_are_those_of_the_core(load):
 
 LAB = GridSettings(
     resolution=0.1,
-    model=LogOdds("float64", p_prior=0.5, p_occ=0.7, p_free=0.3, l_min=-8.0, l_max=8.0),
+    cell_model=LogOdds("float64", p_prior=0.5, p_occ=0.7, p_free=0.3, l_min=-8.0, l_max=8.0),
     alpha=0.2,
     bounds=Region(-10.0, -10.0, 10.0, 10.0),
     outside="drop",
@@ -58,7 +59,7 @@ LAB = GridSettings(
 def test_a_preset_replaces_the_defaults_whichever_source_names_it(load, source):
     settings = load(**source)
     assert settings.grid_settings() == LAB
-    assert (settings.map.model, settings.map.traversal) == ("beam", "bresenham")
+    assert (settings.map.sensor_model, settings.map.traversal) == ("beam", "bresenham")
 
 
 def test_every_source_overrides_the_ones_before_it(load):
@@ -154,7 +155,7 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("map.resolution", "0.0009", "greater than or equal to 0.001"),
         ("map.p_occ", "1.5", "less than or equal to 1"),
         ("map.preset", "labs", "'lab'"),
-        ("map.model", "sectr", "'beam'"),
+        ("map.sensor_model", "sectr", "'beam'"),
         ("map.cells", "float32", "'int16' or 'float64'"),
         ("map.outside", "keep", "'clip' or 'drop'"),
         ("map.bounds", "1,2,3", "XMIN,YMIN,XMAX,YMAX"),
@@ -310,3 +311,36 @@ def test_a_service_that_is_told_where_to_go_goes_nowhere_else(load, tmp_path):
 def test_settings_do_not_change():
     with pytest.raises(ValueError, match="frozen"):
         Settings().map.alpha = math.inf
+
+
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [
+        ({"flags": {"map": {"model": "sector"}}}, "--model"),
+        ({"environ": {"OGM_MAP__MODEL": "sector"}}, "environment OGM_MAP__MODEL"),
+        ({"config": "map: {model: sector}"}, "settings.yaml"),
+    ],
+    ids=["flag", "environment", "file"],
+)
+def test_the_sensor_models_old_name_holds_and_says_so(tmp_path, source, named):
+    told = []
+    given = {"config": None, "flags": {}, "environ": {}} | source
+    if given["config"]:
+        (tmp_path / "settings.yaml").write_text(given["config"])
+        given["config"] = tmp_path / "settings.yaml"
+    assert load_settings(**given, tell=told.append).map.sensor_model == "sector"
+    (line,) = told
+    assert named in line
+    assert line.endswith("map.model is called map.sensor_model now (--sensor-model)")
+
+
+def test_a_flag_by_its_old_name_overrides_the_file_by_the_new_one(tmp_path):
+    file = tmp_path / "settings.yaml"
+    file.write_text("map: {sensor_model: sector}")
+    assert load_settings(config=file, flags={"map": {"model": "beam"}}, environ={}).map.sensor_model == "beam"
+
+
+def test_both_names_at_once_are_refused():
+    flags = {"map": {"model": "beam", "sensor_model": "sector"}}
+    with pytest.raises(BadSetting, match=r"map\.model is map\.sensor_model now: give one of them \(--model\)"):
+        load_settings(config=None, flags=flags, environ={})

@@ -7,7 +7,8 @@ import pytest
 import zenoh
 
 from ogm_core.quality.truth import truth_figures
-from ogm_core.simulation.worlds import dump_world, load_world, world_named
+from ogm_core.simulation.catalogue import world_named
+from ogm_core.simulation.worlds import dump_world, load_world
 from ogm_services.commands import simulator as simulator_module
 from ogm_services.commands.simulator import run_simulator
 from ogm_services.commands.simulator_options import SimulatorOptions

@@ -15,7 +15,8 @@ from ogm_core.files.ros_map_reader import read_ros_map
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_services.cli import app
 from ogm_services.mapper.live.start_map import start_cells, started_grid
-from ogm_services.settings.settings import Settings, load_settings
+from ogm_services.settings.settings import Settings
+from ogm_services.settings.sources import load_settings
 
 EVERY_VALUE = np.arange(-1, 101, dtype=np.int8).reshape(6, 17)
 KNOWN = EVERY_VALUE >= 0

@@ -2,9 +2,10 @@
 
 import pytest
 
-from ogm_core.simulation.worlds import dump_world, lab, load_world, office
+from ogm_core.simulation.catalogue import office
+from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_services.mapper.live import true_world as truth_module
-from ogm_services.mapper.live.true_world import MAX_BYTES, Truth
+from ogm_services.mapper.live.true_world import MAX_BYTES, TrueWorld
 
 LAB, OFFICE = (dump_world(world()).encode() for world in (lab, office))
 BAD = [
@@ -22,7 +23,7 @@ BAD = [
 
 @pytest.fixture
 def truth():
-    return Truth()
+    return TrueWorld()
 
 
 @pytest.fixture

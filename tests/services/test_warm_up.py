@@ -13,8 +13,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.pictures import deflate, run_coding
 from ogm_core.quality import agreement
-from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
-from ogm_core.sensor_models import area_outline as star
+from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
 from ogm_core.tiles import view as tiled_cells
 from ogm_core.types import Pose, Scan
 from ogm_core.wire.messages import decode_scan, encode_scan
@@ -31,7 +30,7 @@ KERNELS = (
     dda.extent,
     dda.touch_tiles,
     dda.update_cells,
-    star.turned,
+    area_outline.turned,
     area_fill.see,
     area_fill.spans,
     spans.extent,
@@ -86,9 +85,9 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
         GridSettings(bounds=Region(0, 0, 600, 500), max_cells=2 * 10**8),
         GridSettings(alpha=1e6),
         GridSettings(reach=1e-3, clear_range=0.0, max_bytes=1, max_cells=1),
-        GridSettings(resolution=0.001, model=LogOdds(p_free=0.499)),
+        GridSettings(resolution=0.001, cell_model=LogOdds(p_free=0.499)),
         GridSettings(resolution=1e6),
-        GridSettings(sensor="sector", alpha=0.0),
+        GridSettings(sensor_model="sector", alpha=0.0),
     ],
     ids=lambda settings: f"{settings.resolution:g} m, {settings.bounds}, alpha {settings.alpha:g}",
 )

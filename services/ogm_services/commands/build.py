@@ -1,10 +1,11 @@
 """`ogm build`: a map of a recorded log, without network.
 
-The log goes through the same Mapper as live messages do, in file order. Then the scans that made the map are
-held against it, to judge how well it agrees with them: from memory, or in a second pass over a log that is
-too large for that.
+The log goes through the same ScanPlacer as live messages do, in file order. Then the scans that made the map
+are held against it, to judge how well it agrees with them: from memory, or in a second pass over a log that
+is too large for that.
 """
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,16 +17,18 @@ from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
 from ogm_core.logs.recordings import RecordedScan, RecordingReader
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
 from ogm_core.quality.figures import Consistency, held_out, quality_figures
 from ogm_core.quality.truth import truth_figures
-from ogm_core.simulation.worlds import World, world_named
+from ogm_core.simulation.catalogue import world_named
+from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
-from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.mapper import Mapper, ScanSink
 from ogm_services.results.driven_paths import Trail
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import write_map
+from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
@@ -74,11 +77,11 @@ def run_build(
 
     grid = OccupancyGrid(settings.grid_settings())
     first = _MapPass(grid)
-    ledger = Ledger()
+    receipts = Receipts()
     with reader() as messages:
-        _feed(messages, first, ledger, hold_out, "mapping")
+        _feed(messages, first, receipts, hold_out, "mapping")
     snapshot = grid.snapshot()
-    report = _report(messages, ledger, first)
+    report = _report(messages, receipts, first)
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty(f"{log}: no scan changed the map ({report})")
     quality = _judged(reader, snapshot, first, hold_out)
@@ -164,9 +167,11 @@ class _JudgePass(_Pass):
         return 0
 
 
-def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int | None, text: str) -> None:
+def _feed(
+    messages: RecordingReader, sink: _Pass, receipts: Receipts, hold_out: int | None, text: str
+) -> None:
     """Send a log through a mapper, up to and including what waits for poses at its end."""
-    mapper = Mapper(sink, ledger)
+    mapper = ScanPlacer(sink, receipts, LimitedLog(logging.getLogger(__name__)).warning)
     index = 0
     with progress_bar(text, messages.size) as show:
         for message in messages:
@@ -176,11 +181,11 @@ def _feed(messages: RecordingReader, sink: _Pass, ledger: Ledger, hold_out: int 
                 if hold_out is not None and index % hold_out == hold_out // 2:
                     sink.withheld.add(message.message)
                 index += 1
-                ledger.scan_received(message.robot, message.sensor)
+                receipts.scan_received(message.robot, message.sensor)
                 mapper.add_scan(message.robot, message.sensor, message.message)
                 show(messages.position)
             else:
-                ledger.pose_received(message.robot)
+                receipts.pose_received(message.robot)
                 mapper.add_pose(message.robot, message.message)
     mapper.finish()
 
@@ -193,7 +198,7 @@ def _judged(
     consistency = Consistency(snapshot, grid.settings)
     if first.kept.scans is None:
         with reader() as messages:
-            _feed(messages, _JudgePass(consistency, iter(first.accepted)), Ledger(), hold_out, "judging")
+            _feed(messages, _JudgePass(consistency, iter(first.accepted)), Receipts(), hold_out, "judging")
     else:
         with progress_bar("judging", len(first.kept.scans)) as show:
             for done, placed in enumerate(first.kept.scans, 1):
@@ -205,8 +210,8 @@ def _judged(
     return quality
 
 
-def _report(messages: RecordingReader, ledger: Ledger, first: _MapPass) -> str:
-    books = ledger.status()
+def _report(messages: RecordingReader, receipts: Receipts, first: _MapPass) -> str:
+    books = receipts.status()
     parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
     if first.held:
         parts.append(f"{len(first.held)} held out")

@@ -14,11 +14,12 @@ import typer
 from ogm_client.map_client import MapClient
 from ogm_client.session import listens_on, resolve_listen
 from ogm_core.errors import OgmError
-from ogm_core.simulation.worlds import world_named
+from ogm_core.simulation.catalogue import world_named
 from ogm_services.mapper.service import LIVE_MAP
 from ogm_services.results.map_folder import check_folder
-from ogm_services.runtime.endings import held_signals
-from ogm_services.settings.settings import Settings, without_settings
+from ogm_services.runtime.signals import held_signals
+from ogm_services.settings.settings import Settings
+from ogm_services.settings.sources import without_settings
 
 SHUTDOWN = 15.0
 FIRST_SCAN = 30.0

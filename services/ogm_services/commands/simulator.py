@@ -14,8 +14,9 @@ from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
+from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
-from ogm_core.simulation.worlds import World, dump_world, world_named
+from ogm_core.simulation.worlds import World, dump_world
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
 from ogm_core.wire.keys import MapKeys
 from ogm_services.commands.simulator_options import SimulatorOptions

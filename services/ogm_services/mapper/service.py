@@ -23,20 +23,22 @@ from ogm_core.files.map_files import encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, Scan
 from ogm_core.wire.keys import MapKeys
-from ogm_services.mapper.intake.queue import Inbox
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
-from ogm_services.mapper.ledger import Ledger
+from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.monitor import Observer
+from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.live.start_map import started_grid
-from ogm_services.mapper.mapper import Mapper
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_routes import Health, build_app
-from ogm_services.mapper.serving.zenoh_routes import ZenohSide
+from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map
-from ogm_services.runtime.endings import held_signals
+from ogm_services.runtime.limited_log import LimitedLog
+from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.settings import Settings
 
 LIVE_MAP = "live map"
@@ -94,12 +96,12 @@ class MapperService:
         self._settings = settings
         self._grid_settings = grid.settings
         self.live_map = LiveMap(grid)
-        ledger, inbox = Ledger(), Inbox(limits.queue)
-        mapper = Mapper(self.live_map, ledger)
-        self._inbox, self._ledger = inbox, ledger
-        self._worker = Worker(inbox, mapper, ledger, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
-        self._observer = Observer(self.live_map)
-        self.answers = Answers(settings.network.map_name, self.live_map, ledger, self._observer)
+        receipts, queue = Receipts(), ScanQueue(limits.queue)
+        mapper = ScanPlacer(self.live_map, receipts, LimitedLog(log).warning)
+        self._queue, self._receipts = queue, receipts
+        self._worker = Worker(queue, mapper, receipts, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
+        self._observer = Monitor(self.live_map)
+        self.answers = Answers(settings.network.map_name, self.live_map, receipts, self._observer)
         self._ready = threading.Event()
         self._open = ExitStack()
         self.addresses: list[str] = []
@@ -136,17 +138,21 @@ class MapperService:
         wanted = network.for_mapper()
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
-        zenoh_side = ZenohSide(session, MapKeys(network.map_name), self._inbox, self._ledger)
-        opening.callback(zenoh_side.close)
-        zenoh_side.claim()
+        keys = MapKeys(network.map_name)
+        routes = ZenohRoutes(session, keys)
+        opening.callback(routes.close)
+        subscriber = ZenohSubscriber(session, keys, self._queue, self._receipts)
+        opening.callback(subscriber.close)
+        routes.claim()
         opening.enter_context(self._http(listener))
         with held_signals():
             warm_up(self._grid_settings)
         self._worker.start()
         opening.callback(self._worker.stop)
-        zenoh_side.declare(self.answers, self.reset)
+        routes.declare(self.answers, self.reset)
+        subscriber.declare()
         opening.callback(self._observer.stop)
-        self._observer.start(zenoh_side.ask_truth)
+        self._observer.start(routes.ask_truth)
         host, port = listener.getsockname()[:2]
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         self.addresses = [
@@ -196,8 +202,8 @@ def warm_up(settings: GridSettings) -> None:
     bounds = None if settings.bounds is None else Region(0.0, 0.0, side, side)
     small = GridSettings(
         settings.resolution,
-        settings.model,
-        settings.sensor,
+        settings.cell_model,
+        settings.sensor_model,
         settings.traversal,
         bounds=bounds,
         outside=settings.outside,

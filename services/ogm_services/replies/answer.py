@@ -25,6 +25,12 @@ class UnknownName(OgmError):
     slug = "not-found"
 
 
+class Unavailable(OgmError):
+    """The worker did not get to a command: the mapper is stopping, or far behind."""
+
+    slug = "unavailable"
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """A body, its media type, and for a map what `MapSnapshot.meta` says of it."""

@@ -4,8 +4,7 @@ import http
 import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
-from ogm_services.mapper.intake.worker import Unavailable
-from ogm_services.replies.answer import UnknownName
+from ogm_services.replies.answer import Unavailable, UnknownName
 
 MEDIA_TYPE = "application/problem+json"
 

@@ -24,9 +24,9 @@ from matplotlib.path import Path
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from ogm_client.notebook import round_length
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.pictures.scale_bar import round_length
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.results.driven_paths import Trail
@@ -93,8 +93,8 @@ def draw_map(
 def describe(snapshot: MapSnapshot, settings: GridSettings) -> str:
     """What a map was made with: number of scans, resolution, sensor model."""
     scans = "1 scan" if snapshot.revision == 1 else f"{snapshot.revision} scans"
-    traversal = f", traversal {settings.traversal}" if settings.sensor == "beam" else ""
-    return f"{scans}, resolution {snapshot.lattice.resolution:g} m, model {settings.sensor}{traversal}"
+    traversal = f", traversal {settings.traversal}" if settings.sensor_model == "beam" else ""
+    return f"{scans}, resolution {snapshot.lattice.resolution:g} m, model {settings.sensor_model}{traversal}"
 
 
 def encode_figure(figure: Figure, form: str) -> bytes:

@@ -4,7 +4,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ogm_services.runtime.endings import held_signals
+from ogm_services.runtime.signals import held_signals
 
 
 @contextmanager

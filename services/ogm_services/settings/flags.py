@@ -8,15 +8,16 @@ import inspect
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 import typer
 
 from ogm_core.cells.log_odds import CellType
-from ogm_core.grid_settings import Outside, SensorModel, Traversal
-from ogm_services.settings.settings import Settings, flag_name, load_settings
+from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
+from ogm_services.settings.settings import SECTIONS, Settings
+from ogm_services.settings.sources import flag_name, load_settings
 from ogm_services.settings.values import LOOPBACK, Preset
 
 PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"}
@@ -24,7 +25,7 @@ PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"
 
 def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
     """Option of a setting: its flag, its help with the default, its panel of the help page."""
-    default = getattr(getattr(Settings(), section), key)
+    default = SECTIONS[section].model_fields[key].default
     shown = "none" if default in (None, ()) else default
     if isinstance(default, float):
         shown = f"{default:g}"
@@ -63,7 +64,14 @@ class MapFlags(_SettingFlags):
         str | None, _setting("map", "preset", _choices(Preset), "Replace all map defaults by a preset's")
     ] = None
     resolution: Annotated[str | None, _setting("map", "resolution", "METRES", "Size of a cell")] = None
-    model: Annotated[str | None, _setting("map", "model", _choices(SensorModel), "Sensor model")] = None
+    sensor_model: Annotated[
+        str | None, _setting("map", "sensor_model", _choices(SensorModel), "How a scan is read")
+    ] = None
+    model: Annotated[str | None, typer.Option("--model", hidden=True)] = None
+    """What `sensor_model` was called in release 0.1."""
+    cell_model: Annotated[
+        str | None, _setting("map", "cell_model", _choices(CellModelName), "What a cell keeps")
+    ] = None
     traversal: Annotated[
         str | None,
         _setting("map", "traversal", _choices(Traversal), "How a beam is traced through the cells"),
@@ -197,7 +205,7 @@ ConfigFile = Annotated[
 def settings_from(config: Path | None, *groups: _SettingFlags) -> Settings:
     """Settings of a command, from its flags, this process's environment and its settings file."""
     flags = {group.section: group.given() for group in groups}
-    return load_settings(config=config, flags=flags, environ=os.environ)
+    return load_settings(config=config, flags=flags, environ=os.environ, tell=partial(typer.echo, err=True))
 
 
 def with_flag_groups(command: Callable[..., None]) -> Callable[..., None]:

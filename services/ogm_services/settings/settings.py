@@ -1,13 +1,7 @@
-"""Settings of every service: what may be set, within which limits, and which source wins.
+"""Settings of every service: what may be set, and within which limits."""
 
-Defaults < preset < file (YAML) < environment `OGM_<SECTION>__<KEY>` < flags. A preset replaces the defaults,
-whichever source names it; every other setting that a source gives overrides it.
-"""
-
-import difflib
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Self
 
 import yaml
 from pydantic import (
@@ -16,18 +10,16 @@ from pydantic import (
     ConfigDict,
     Field,
     FilePath,
-    ValidationError,
     field_validator,
     model_validator,
 )
-from pydantic_core import ErrorDetails
 
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.errors import BadSetting
-from ogm_core.files.strict_yaml import YAML_ERRORS
 from ogm_core.grid_settings import (
     DEFAULT_MAX_BYTES,
     DEFAULT_MAX_CELLS,
+    CellModelName,
     GridSettings,
     Outside,
     SensorModel,
@@ -38,7 +30,6 @@ from ogm_core.wire.keys import check_name
 from ogm_services.settings.values import (
     LOOPBACK,
     NONE,
-    PRESETS,
     Bounds,
     Count,
     Endpoints,
@@ -78,7 +69,8 @@ class MapSettings(_Section):
     l_min: Finite = -8.0
     l_max: Finite = 8.0
     alpha: NotNegative = 0.1
-    model: SensorModel = "beam"
+    sensor_model: SensorModel = "beam"
+    cell_model: CellModelName = "log_odds"
     traversal: Traversal = "bresenham"
     reach: Annotated[Positive | None, NONE] = None
     clear_range: Annotated[NotNegative | None, NONE] = None
@@ -156,10 +148,10 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    map: MapSettings = MapSettings()
-    network: NetworkSettings = NetworkSettings()
-    http: HttpSettings = HttpSettings()
-    mapper: MapperSettings = MapperSettings()
+    map: MapSettings = Field(default_factory=MapSettings)
+    network: NetworkSettings = Field(default_factory=NetworkSettings)
+    http: HttpSettings = Field(default_factory=HttpSettings)
+    mapper: MapperSettings = Field(default_factory=MapperSettings)
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -174,8 +166,8 @@ class Settings(BaseModel):
         """What the map is made of."""
         return GridSettings(
             resolution=self.map.resolution,
-            model=self.map.log_odds(),
-            sensor=self.map.model,
+            cell_model=self.map.log_odds(),
+            sensor_model=self.map.sensor_model,
             traversal=self.map.traversal,
             alpha=self.map.alpha,
             reach=self.map.reach,
@@ -191,113 +183,10 @@ class Settings(BaseModel):
         return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False)
 
 
-class _Given(NamedTuple):
-    """A value as some source gives it, and how the user knows that source."""
-
-    value: Any
-    source: str
-
-
-_Source = dict[tuple[str, str], _Given]
-"""What a source gives, by section and key."""
-
-
-def load_settings(
-    *, config: Path | None, flags: Mapping[str, Mapping[str, Any]], environ: Mapping[str, str]
-) -> Settings:
-    """Settings from all sources: `config` is a YAML file, `flags` the values given as flags, by section.
-
-    Raises:
-        BadSetting: the file cannot be read, a name is unknown, a value is not allowed or contradicts another.
-    """
-    given = (_from_file(config) if config else {}) | _from_environment(environ) | _from_flags(flags)
-    named = given.get(("map", "preset"))
-    if named is not None:
-        preset = PRESETS.get(str(named.value), {})
-        given = {("map", key): _Given(value, named.source) for key, value in preset.items()} | given
-    values: dict[str, dict[str, Any]] = {}
-    for (section, key), item in given.items():
-        values.setdefault(section, {})[key] = item.value
-    try:
-        return Settings.model_validate(values)
-    except ValidationError as error:
-        raise BadSetting("; ".join(_in_words(problem, given) for problem in error.errors())) from None
-
-
-def flag_name(section: str, key: str) -> str:
-    """The flag of the command line that gives a setting."""
-    if (section, key) == ("network", "map_name"):
-        return "--map"
-    prefix = "http-" if section == "http" else ""
-    return f"--{prefix}{key.replace('_', '-')}"
-
-
-def without_settings(environ: Mapping[str, str]) -> dict[str, str]:
-    """`environ` without settings, for a child process that gets all of them from a file."""
-    return {name: value for name, value in environ.items() if not _is_setting(name)}
-
-
-def _from_file(path: Path) -> _Source:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadSetting(f"{path}: cannot be read: {error.strerror}") from None
-    except YAML_ERRORS as error:
-        raise BadSetting(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    given: _Source = {}
-    for section, values in _mapping(content, f"{path}").items():
-        _check_known(f"{path}: ", str(section), Settings.model_fields)
-        for key, value in _mapping(values, f"{path}: {section}").items():
-            _check_known(f"{path}: ", f"{section}.{key}", _names("{}.{}"))
-            given[section, key] = _Given(value, f"file {path}")
-    return given
-
-
-def _mapping(content: object, where: str) -> Mapping[Any, Any]:
-    if content is None:  # an empty file or section
-        return {}
-    if not isinstance(content, Mapping):
-        raise BadSetting(f"{where}: a mapping of names to values is needed, got {content!r:.40}")
-    return content
-
-
-def _from_environment(environ: Mapping[str, str]) -> _Source:
-    known = {name.upper(): setting for name, setting in _names("OGM_{}__{}").items()}
-    given: _Source = {}
-    for name in filter(_is_setting, environ):
-        _check_known("environment ", name, known)
-        given[known[name]] = _Given(environ[name], f"environment {name}")
-    return given
-
-
-def _is_setting(variable: str) -> bool:
-    return variable.startswith("OGM_") and "__" in variable
-
-
-def _from_flags(flags: Mapping[str, Mapping[str, Any]]) -> _Source:
-    given: _Source = {}
-    for section, values in flags.items():
-        for key, value in values.items():
-            _check_known("flag ", f"{section}.{key}", _names("{}.{}"))
-            given[section, key] = _Given(value, flag_name(section, key))
-    return given
-
-
-def _names(form: str) -> dict[str, tuple[str, str]]:
-    """Every setting's (section, key), by its name in the given form."""
-    sections = Settings().model_dump()
-    return {form.format(section, key): (section, key) for section in sections for key in sections[section]}
-
-
-def _check_known(source: str, name: str, known: Iterable[str]) -> None:
-    names = list(known)
-    if name not in names:
-        close = difflib.get_close_matches(name, names, n=1)
-        raise BadSetting(f"{source}{name}: unknown setting{f' (did you mean {close[0]}?)' if close else ''}")
-
-
-def _in_words(problem: ErrorDetails, given: _Source) -> str:
-    section, key = str(problem["loc"][0]), str(problem["loc"][1])
-    value, source = given[section, key]
-    message = problem["msg"].removeprefix("Value error, ")
-    return f"{section}.{key}: {message[0].lower()}{message[1:]}, got {value!r} ({source})"
+SECTIONS: Mapping[str, type[BaseModel]] = {
+    "map": MapSettings,
+    "network": NetworkSettings,
+    "http": HttpSettings,
+    "mapper": MapperSettings,
+}
+"""The sections of `Settings`, by name."""

@@ -14,7 +14,7 @@ MAX_POSES = 100_000
 
 
 @dataclass(slots=True, eq=False)
-class Item:
+class Message:
     """A message's payload and where it came from, or a command for the worker."""
 
     source: Source | None
@@ -27,14 +27,14 @@ class Item:
 
 @dataclass(slots=True)
 class _Load:
-    scans: dict[Source, deque[Item]] = field(default_factory=dict)
+    scans: dict[Source, deque[Message]] = field(default_factory=dict)
     """Waiting scans by source, oldest first."""
     count: int = 0
     size: int = 0
     poses: int = 0
     pose_size: int = 0
 
-    def add_scan(self, source: Source, item: Item) -> None:
+    def add_scan(self, source: Source, item: Message) -> None:
         queue = self.scans.get(source)
         if queue is None:
             queue = self.scans[source] = deque()
@@ -46,7 +46,7 @@ class _Load:
         return self.poses < MAX_POSES and self.pose_size < MAX_BYTES
 
 
-class Inbox:
+class ScanQueue:
     """Messages in order of arrival. Callbacks put, one worker takes.
 
     When it is full, the oldest scan of the source with the most waiting scans goes.
@@ -55,11 +55,11 @@ class Inbox:
     def __init__(self, max_scans: int) -> None:
         self._max_scans = max_scans
         self._changed = threading.Condition()
-        self._items: deque[Item] = deque()
+        self._items: deque[Message] = deque()
         self._load = _Load()
         self._closed = False
 
-    def put(self, item: Item) -> list[Source]:
+    def put(self, item: Message) -> list[Source]:
         """Append a message; return the source of every scan that had to go for it."""
         with self._changed:
             load = self._load
@@ -76,8 +76,8 @@ class Inbox:
             self._changed.notify_all()
             return gone
 
-    def take(self, timeout: float | None) -> Item | None:
-        """The oldest message; None if none came within `timeout` seconds, or the inbox is closed."""
+    def take(self, timeout: float | None) -> Message | None:
+        """The oldest message; None if none came within `timeout` seconds, or the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._skip_dropped() or self._closed, timeout)
             if self._closed or not self._items:
@@ -103,7 +103,7 @@ class Inbox:
             self._items.popleft()
         return bool(self._items)
 
-    def _forget(self, item: Item) -> None:
+    def _forget(self, item: Message) -> None:
         load = self._load
         if item.source is None:
             return

@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 
-from ogm_core.errors import BadMessage, OgmError
+from ogm_core.errors import BadMessage
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.wire.messages import decode_pose, decode_scan
-from ogm_services.mapper.intake.queue import Inbox, Item
-from ogm_services.mapper.ledger import Ledger
-from ogm_services.mapper.mapper import Mapper
+from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.replies.answer import Unavailable
 from ogm_services.runtime.limited_log import LimitedLog
 
 LOOK_PERIOD = 0.1
@@ -19,21 +20,15 @@ LOOK_PERIOD = 0.1
 log = logging.getLogger(__name__)
 
 
-class Unavailable(OgmError):
-    """The worker did not get to a command: the mapper is stopping, or far behind."""
-
-    slug = "unavailable"
-
-
 class Worker:
     """Owns the mapper, and through it the map's writing side. Started once, stopped once."""
 
     def __init__(
-        self, inbox: Inbox, mapper: Mapper, ledger: Ledger, *, max_beams: int, pose_wait: float
+        self, queue: ScanQueue, mapper: ScanPlacer, receipts: Receipts, *, max_beams: int, pose_wait: float
     ) -> None:
-        self._inbox = inbox
+        self._queue = queue
         self._mapper = mapper
-        self._ledger = ledger
+        self._receipts = receipts
         self._max_beams = max_beams
         self._pose_wait = pose_wait
         self._complaints = LimitedLog(log)
@@ -45,12 +40,12 @@ class Worker:
         return self._thread.is_alive()
 
     def start(self) -> None:
-        """Begin to take messages from the inbox."""
+        """Begin to take messages from the queue."""
         self._thread.start()
 
     def stop(self) -> None:
         """Finish the message in hand, and end. Messages that still wait stay pending."""
-        self._inbox.close()
+        self._queue.close()
         self._thread.join()
 
     def do(self, command: Callable[[], None], timeout: float = 30.0) -> None:
@@ -70,7 +65,7 @@ class Worker:
             outcome.set_result(None)
 
         deadline = time.monotonic() + timeout
-        self._inbox.put(Item(None, b"", time.monotonic(), run))
+        self._queue.put(Message(None, b"", time.monotonic(), run))
         while not outcome.done():
             if not self.alive or time.monotonic() >= deadline:
                 raise Unavailable("the mapper is stopping, or too busy: try again later")
@@ -79,11 +74,11 @@ class Worker:
 
     def _run(self) -> None:
         looked = time.monotonic()
-        while not self._inbox.closed:
-            # Up to `now` every message has been handled: up to the moment before an empty inbox was looked
+        while not self._queue.closed:
+            # Up to `now` every message has been handled: up to the moment before an empty queue was looked
             # into, else up to the next message's arrival, however long the queue is.
             now = time.monotonic()
-            item = self._inbox.take(LOOK_PERIOD)
+            item = self._queue.take(LOOK_PERIOD)
             if item is not None:
                 now = item.arrival
             if now - looked >= LOOK_PERIOD:
@@ -98,13 +93,13 @@ class Worker:
                         "%s failed", "a command" if item.source is None else f"a message of {item.source}"
                     )
 
-    def _work_on(self, item: Item) -> None:
+    def _work_on(self, item: Message) -> None:
         if item.command is not None:
             item.command()
         elif item.source is not None:
             self._handle(item, *item.source)
 
-    def _handle(self, item: Item, robot: str, sensor: str | None) -> None:
+    def _handle(self, item: Message, robot: str, sensor: str | None) -> None:
         """Decode a message and hand it to the mapper; a bad one is counted."""
         self._mapper.heard(robot, item.arrival)
         try:
@@ -118,6 +113,6 @@ class Worker:
 
     def _refuse(self, robot: str, sensor: str | None) -> None:
         if sensor is None:
-            self._ledger.pose_refused("malformed")
+            self._receipts.pose_refused("malformed")
         else:
-            self._ledger.scan_dropped(robot, sensor, "malformed")
+            self._receipts.scan_dropped(robot, sensor, "malformed")

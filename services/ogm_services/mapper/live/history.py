@@ -23,7 +23,7 @@ class Sample(NamedTuple):
     known_m2: float
 
 
-class Series:
+class History:
     """The samples of one life of a map, of one epoch; a new epoch begins a new series.
 
     One thread calls `due` and `take`; any other may call `columns`. No clock is read here: times are given,

@@ -5,9 +5,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from ogm_services.mapper.live.history import Series, sample_of
+from ogm_services.mapper.live.history import History, sample_of
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.true_world import Truth
+from ogm_services.mapper.live.true_world import TrueWorld
 
 LOOK_PERIOD = 1.0
 """How often it looks, s."""
@@ -15,7 +15,7 @@ LOOK_PERIOD = 1.0
 log = logging.getLogger(__name__)
 
 
-class Observer:
+class Monitor:
     """Looks at a live map once a second. Started once, stopped once.
 
     Who owns what: only its thread writes the series and the truth; readers take what is there, so that no
@@ -24,8 +24,8 @@ class Observer:
     """
 
     def __init__(self, live_map: LiveMap) -> None:
-        self.series = Series()
-        self.truth = Truth()
+        self.series = History()
+        self.truth = TrueWorld()
         self._map = live_map
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None

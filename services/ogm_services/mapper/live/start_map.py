@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import trinary
-from ogm_core.cells.log_odds import FREE_BELOW, OCCUPIED_ABOVE, Cells, LogOdds
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_services.settings.settings import Settings
@@ -44,7 +45,7 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     return grid
 
 
-def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) -> Cells:
+def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) -> StoredCells:
     """Stored cells of a ROS map's occupancy, of the same shape: 0 to 100, or -1 for unknown.
 
     p = occupancy / 100, limited to [1 - confidence, confidence], and to the model's clamps. Every cell keeps
@@ -66,7 +67,7 @@ def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) 
             f"cells would start at p = {stored[100]:.4g} and free ones at {stored[0]:.4g}; more than "
             f"{OCCUPIED_ABOVE} and less than {FREE_BELOW} are needed: raise it, or leave the clamps alone"
         )
-    cells: Cells = table[occupancy]
+    cells: StoredCells = table[occupancy]
     return cells
 
 

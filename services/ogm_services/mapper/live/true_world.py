@@ -13,7 +13,7 @@ MAX_BYTES = 2 * 1024**2
 log = logging.getLogger(__name__)
 
 
-class Truth:
+class TrueWorld:
     """The world that the simulators of a map say they simulate.
 
     One thread calls `heard` and `settle`; any may read `world`, which stays the same object as long as the

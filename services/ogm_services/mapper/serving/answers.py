@@ -11,10 +11,10 @@ from typing import Any
 from ogm_core.errors import BadParameter
 from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode_png, encode_yaml
 from ogm_core.lattice import Region
+from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
-from ogm_services.mapper.ledger import Ledger
 from ogm_services.mapper.live.live_map import Identity, LiveMap
-from ogm_services.mapper.live.monitor import Observer
+from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.replies.answer import Answer, Parameters, UnknownName
 
 CACHE_BYTES = 64 * 1024**2
@@ -56,11 +56,11 @@ MAP_FORMATS: dict[str, _MapFormat] = {
 class Answers:
     """Everything that can be asked of a mapper. Any thread; nothing here waits for the network."""
 
-    def __init__(self, map_name: str, live_map: LiveMap, ledger: Ledger, observer: Observer) -> None:
+    def __init__(self, map_name: str, live_map: LiveMap, receipts: Receipts, observer: Monitor) -> None:
         self._map_name = map_name
         self._map = live_map
         self._observer = observer
-        self._ledger = ledger
+        self._receipts = receipts
         self._started = time.monotonic()
         self._cache = _AnswerCache()
 
@@ -135,7 +135,7 @@ class Answers:
 
     def status_fields(self) -> dict[str, Any]:
         """The mapper's status, not yet encoded."""
-        books = self._ledger.status()
+        books = self._receipts.status()
         return {
             "map": self._map_name,
             **self._map.identity(),

@@ -1,14 +1,13 @@
 """Which pose belongs to which scan, in what order, and how often: from messages to the map."""
 
-import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused
 from ogm_core.placing.pose_history import PoseHistory
+from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
-from ogm_services.mapper.ledger import DropReason, Ledger
-from ogm_services.runtime.limited_log import LimitedLog
 
 MAX_WAITING = 64
 """A scan waits for its pose until this many later ones of its sensor wait too."""
@@ -18,7 +17,8 @@ _WHY: dict[DropReason, str] = {
     "stale": "its stamp lies before the robot's oldest kept pose",
 }
 
-log = logging.getLogger(__name__)
+Complain = Callable[[str, str], None]
+"""Told of a source, `<robot>/<sensor>`, and what was wrong with its message."""
 
 
 class ScanSink(Protocol):
@@ -44,18 +44,18 @@ class _Robot:
     heard: float = 0.0
 
 
-class Mapper:
+class ScanPlacer:
     """Places scans by their robots' poses and hands them on in the order in which they become ready.
 
     One thread calls it. No decision reads a clock: `expire` is told the time. The same messages in the same
     order give the same calls to the sink.
     """
 
-    def __init__(self, sink: ScanSink, ledger: Ledger) -> None:
+    def __init__(self, sink: ScanSink, receipts: Receipts, complain: Complain) -> None:
         self._sink = sink
-        self._ledger = ledger
+        self._receipts = receipts
+        self._complain = complain
         self._robots: dict[str, _Robot] = {}
-        self._complaints = LimitedLog(log)
 
     def add_pose(self, name: str, message: PoseStamped) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
@@ -65,9 +65,9 @@ class Mapper:
             self._give_up(name, robot)
             robot.poses = PoseHistory()
         if not robot.poses.append(message.stamp, message.pose):
-            self._ledger.pose_refused("late")
+            self._receipts.pose_refused("late")
             return
-        self._ledger.located(name, message.stamp, message.pose)
+        self._receipts.located(name, message.stamp, message.pose)
         waiting, robot.waiting = robot.waiting, []
         for sensor, scan in waiting:
             if _ready_at(scan) <= message.stamp:
@@ -78,11 +78,11 @@ class Mapper:
     def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         robot = self._robot(name)
-        self._ledger.scan_taken(name, sensor, scan.run, scan.seq)
+        self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         if self._is_duplicate(robot, sensor, scan):
             self._drop(name, sensor, "duplicate")
         elif scan.pose is not None:
-            self._ledger.located(name, scan.stamp, scan.pose)
+            self._receipts.located(name, scan.stamp, scan.pose)
             self._integrate(name, sensor, scan, scan.pose)
         elif robot.poses.newest is not None and _ready_at(scan) <= robot.poses.newest:
             self._place(name, robot, sensor, scan)
@@ -152,11 +152,11 @@ class Mapper:
         except ScanRefused as refusal:
             self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         else:
-            self._ledger.scan_integrated(name, sensor)
+            self._receipts.scan_integrated(name, sensor)
 
     def _drop(self, name: str, sensor: str, reason: DropReason, why: str = "") -> None:
-        self._ledger.scan_dropped(name, sensor, reason)
-        self._complaints.warning(f"{name}/{sensor}", f"a scan is dropped: {why or _WHY[reason]}")
+        self._receipts.scan_dropped(name, sensor, reason)
+        self._complain(f"{name}/{sensor}", f"a scan is dropped: {why or _WHY[reason]}")
 
 
 def _ready_at(scan: Scan) -> int:

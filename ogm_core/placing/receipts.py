@@ -1,4 +1,4 @@
-"""The books of a mapper: what came in, and what became of it."""
+"""Receipts of messages: what came in, and what became of it."""
 
 import threading
 from collections import Counter
@@ -55,7 +55,7 @@ class _Robot:
         }
 
 
-class Ledger:
+class Receipts:
     """Counts of poses and scans. Any thread; one lock, held for a few assignments.
 
     A scan is received once, and later either integrated or dropped for one reason: what is neither yet is

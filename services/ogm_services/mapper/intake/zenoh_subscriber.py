@@ -1,0 +1,58 @@
+"""The mapper's one subscriber: it counts messages and puts them into the queue."""
+
+import logging
+import time
+from contextlib import ExitStack
+from functools import lru_cache
+
+import zenoh
+
+from ogm_core.placing.receipts import Receipts
+from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.runtime.limited_log import LimitedLog
+
+MAX_SOURCES = 1000
+"""Keys of messages whose sources are remembered; reading one anew does no harm."""
+
+log = logging.getLogger(__name__)
+
+
+class ZenohSubscriber:
+    """Takes poses and scans alike, so that their order is kept, until `close`.
+
+    Zenoh's thread calls the callback, which only counts and enqueues: it would hold up the link.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: MapKeys, queue: ScanQueue, receipts: Receipts) -> None:
+        self._session = session
+        self._keys = keys
+        self._source_of = lru_cache(MAX_SOURCES)(keys.source_of)
+        self._queue = queue
+        self._receipts = receipts
+        self._complaints = LimitedLog(log)
+        self._declared = ExitStack()
+
+    def declare(self) -> None:
+        """Declare the subscriber: from here on nothing that is put is missed."""
+        callback = zenoh.handlers.Callback(self._received, indirect=False)
+        self._declared.push(self._session.declare_subscriber(self._keys.robots, callback))
+
+    def close(self) -> None:
+        """Undeclare it: nothing more comes in."""
+        self._declared.close()
+
+    def _received(self, sample: zenoh.Sample) -> None:
+        source = self._source_of(str(sample.key_expr))
+        if source is None or sample.kind != zenoh.SampleKind.PUT:
+            self._receipts.ignored()
+            return
+        if source.sensor is None:
+            self._receipts.pose_received(source.robot)
+        else:
+            self._receipts.scan_received(source.robot, source.sensor)
+        item = Message(source, sample.payload.to_bytes(), time.monotonic())
+        for robot, sensor in self._queue.put(item):
+            if sensor is not None:
+                self._receipts.scan_dropped(robot, sensor, "overload")
+                self._complaints.warning(f"{robot}/{sensor}", "the queue is full, its oldest scan is dropped")

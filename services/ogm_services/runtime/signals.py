@@ -1,0 +1,67 @@
+"""How signals end what runs, and when they have to wait."""
+
+import logging
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import typer
+
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterator[None]:
+    """Log to stderr; Ctrl-C and SIGTERM alike end what runs inside, with exit code `interrupted`.
+
+    Without `logging_too` nothing is logged: what runs inside says at its end what there was to say. A second
+    signal is ignored, to the process's end: what runs inside then stops already, in bounded time, and may be
+    writing.
+    """
+    if logging_too:
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    else:
+        logging.getLogger("ogm_services").addHandler(logging.NullHandler())
+    ending = False
+
+    def interrupt(*_: object) -> None:
+        nonlocal ending
+        if not ending:
+            ending = True
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in _ENDING}
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise typer.Exit(interrupted) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_IGN if ending else handler)
+
+
+@contextmanager
+def held_signals() -> Iterator[None]:
+    """Put off Ctrl-C and SIGTERM until what runs inside is done.
+
+    For what must not be left half done, and for imports and compilers: where they call back into Python, an
+    exception out of a signal handler is swallowed, and the signal with it. Python handles signals in the
+    main thread only, so elsewhere this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+
+    def hold(number: int, _: object) -> None:
+        held.append(number)
+
+    before = {number: signal.signal(number, hold) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if held:
+        signal.raise_signal(held[0])
