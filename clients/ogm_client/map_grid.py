@@ -16,7 +16,7 @@ from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
-from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
+from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml, log_odds_of
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 
@@ -45,6 +45,23 @@ class MapGrid:
     epoch: str
     revision: int
     stamp: int | None
+
+    @classmethod
+    def from_snapshot(cls, snapshot: MapSnapshot) -> "MapGrid":
+        """The map of a snapshot, as a mapper that had taken it would send it.
+
+            grid = OccupancyGrid(GridSettings())  # of ogm_core, in a program without mapper and network
+            MapGrid.from_snapshot(grid.snapshot()).save_png("map.png")
+
+        Raises:
+            BadParameter: the snapshot was shrunk, so that its pixels are no cells.
+        """
+        if snapshot.factor != 1:
+            raise BadParameter(
+                f"snapshot: cells are needed, got blocks of {snapshot.factor} x {snapshot.factor}"
+            )
+        place = snapshot.lattice.resolution, snapshot.lattice.anchor, snapshot.offset
+        return cls(log_odds_of(snapshot), *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
 
     @property
     def width(self) -> int:

@@ -1,7 +1,5 @@
 """What a robot sends: its poses and scans, as Zenoh messages that a mapper integrates."""
 
-import numbers
-import operator
 import threading
 import time
 import uuid
@@ -10,16 +8,16 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
 from ogm_client.errors import ClientError, nobody
 from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig, open_session, reason
 from ogm_core.errors import BadMessage
-from ogm_core.types import IDENTITY, Pose, PoseStamped, Ranges, Scan
+from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
 from ogm_core.wire.keys import MapKeys, check_name
+from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
 _M = TypeVar("_M")
@@ -90,10 +88,11 @@ class RobotPublisher:
             BadMessage: a value is of the wrong type, or not finite; nothing is sent.
             ClientError: the publisher or its session is closed.
         """
-        pose = _pose((x, y, theta), "pose")
+        pose = pose_of((x, y, theta), "pose")
         channel = self._pose_channel()
         with channel.lock:
-            channel.put(_pose_payload(PoseStamped(_stamp(stamp), pose, channel.seq, self.run)))
+            now = time.time_ns() if stamp is None else stamp_of(stamp)
+            channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)))
             channel.seq += 1
 
     def publish_scan(
@@ -132,20 +131,20 @@ class RobotPublisher:
         """
         channel = self._scan_channel(sensor)
         with channel.lock:
-            scan = Scan(
-                stamp=_stamp(stamp),
-                angle_min=_real(angle_min, "angle_min"),
-                angle_increment=_real(angle_increment, "angle_increment"),
-                range_min=_real(range_min, "range_min"),
-                range_max=_real(range_max, "range_max"),
-                ranges=_ranges(ranges),
-                time_increment=_real(time_increment, "time_increment"),
-                mount=IDENTITY if mount is None else _pose(mount, "mount"),
-                pose=None if pose is None else _pose(pose, "pose"),
+            scan = scan_of(
+                ranges,
+                angle_min=angle_min,
+                angle_increment=angle_increment,
+                range_min=range_min,
+                range_max=range_max,
+                stamp=time.time_ns() if stamp is None else stamp,
+                time_increment=time_increment,
+                mount=mount,
+                pose=pose,
                 seq=channel.seq,
                 run=self.run,
             )
-            channel.put(_scan_payload(scan))
+            channel.put(messages.encode_scan(scan))
             channel.seq += 1
 
     def put_pose(self, message: PoseStamped) -> None:
@@ -258,38 +257,3 @@ def _encoded(encode: Callable[[_M], bytes], message: _M) -> bytes:
         return encode(message)
     except (TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"the message cannot be encoded: {error}") from error
-
-
-def _stamp(value: int | None) -> int:
-    if value is None:
-        return time.time_ns()
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral):
-        raise BadMessage(f"stamp: a whole number of ns is needed, got {type(value).__name__}")
-    return operator.index(value)
-
-
-def _real(value: float, name: str) -> float:
-    """Accept any real number, numpy's too; a bool or a text is a mistake."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise BadMessage(f"{name}: a number is needed, got {type(value).__name__}")
-    return value if type(value) in (int, float) else float(value)
-
-
-def _pose(values: Sequence[float], name: str) -> Pose:
-    parts: list[Any] = list(values)
-    if len(parts) != 3:
-        raise BadMessage(f"{name}: [x, y, theta] is needed, got {len(parts)} values")
-    return Pose(*(_real(part, f"{name}[{i}]") for i, part in enumerate(parts)))
-
-
-def _ranges(values: ArrayLike) -> Ranges:
-    try:
-        ranges = np.asarray(values)
-    except ValueError as error:
-        raise BadMessage(f"ranges: {error}") from error
-    if ranges.ndim != 1 or ranges.dtype.kind not in "iuf":
-        raise BadMessage(
-            f"ranges: numbers, shape (N,), are needed (inf for no return), got {ranges.dtype} {ranges.shape}"
-        )
-    with np.errstate(over="ignore"):  # a reading past float32 is past every range_max, as inf is
-        return ranges.astype(np.float32)

@@ -93,7 +93,7 @@ def encode_npz(snap: MapSnapshot) -> bytes:
     `log_odds` is [iy, ix], row 0 south, NaN where unknown; float64 of float64 cells, else float32.
     """
     arrays = {
-        "log_odds": _log_odds(snap),
+        "log_odds": log_odds_of(snap),
         "resolution": np.array(snap.resolution),
         "origin": np.array(snap.origin),
         "offset": np.array(snap.offset, np.int64),
@@ -106,6 +106,16 @@ def encode_npz(snap: MapSnapshot) -> bytes:
             with archive.open(f"{name}.npy", "w", force_zip64=array.nbytes >= 2**31) as member:
                 npy.write_array(member, array, allow_pickle=False)
     return file.getvalue()
+
+
+def log_odds_of(snap: MapSnapshot) -> NDArray[np.floating[Any]]:
+    """Log odds [iy, ix], row 0 south, NaN where unknown; float64 of float64 cells, else float32."""
+    exact = snap.cells.dtype == np.float64
+    served = np.empty(snap.cells.shape, np.float64 if exact else np.float32)
+    for band in row_bands(snap.cells):
+        cells = snap.cells[band]
+        served[band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
+    return served
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,16 +184,6 @@ def _json_trinary(p: Probability, known: Known) -> NDArray[np.uint32]:
 
 
 _VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}
-
-
-def _log_odds(snap: MapSnapshot) -> NDArray[np.floating[Any]]:
-    """Log odds, NaN where unknown: l in float64 for float64 cells, else rounded to float32."""
-    exact = snap.cells.dtype == np.float64
-    served = np.empty(snap.cells.shape, np.float64 if exact else np.float32)
-    for band in row_bands(snap.cells):
-        cells = snap.cells[band]
-        served[band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
-    return served
 
 
 def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:

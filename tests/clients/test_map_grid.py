@@ -9,8 +9,11 @@ import yaml
 from PIL import Image
 
 from ogm_client import MapGrid
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, MapEmpty
-from ogm_core.files.map_files import read_npz
+from ogm_core.files.map_files import encode_npz, read_npz
+from ogm_core.lattice import Lattice
+from ogm_core.snapshot import MapSnapshot
 
 FREE, OCCUPIED, UNDECIDED, PRIOR = math.log(0.19 / 0.81), math.log(0.66 / 0.34), math.log(0.64 / 0.36), 0.0
 LOG_ODDS = np.array([[math.nan, OCCUPIED], [FREE, PRIOR], [UNDECIDED, -0.0]])
@@ -25,6 +28,22 @@ def test_where_it_lies():
     grid = grid_of()
     assert (grid.width, grid.height) == (2, 3)
     assert grid.origin == (9.0, -18.0)
+
+
+@pytest.mark.parametrize("cells", ["int16", "float64"])
+def test_of_a_snapshot_it_is_what_a_mapper_would_send(cells):
+    model = LogOdds(cells)
+    stored = model.store(np.nan_to_num(LOG_ODDS), ~np.isnan(LOG_ODDS))
+    snapshot = MapSnapshot(stored, model, Lattice(0.5, (10.0, -20.0)), (-2, 4), "e", 3, 17)
+    grid, sent = MapGrid.from_snapshot(snapshot), read_npz(encode_npz(snapshot))
+    np.testing.assert_array_equal(grid.log_odds, sent.log_odds)
+    assert grid.log_odds.dtype == sent.log_odds.dtype
+    assert (grid.resolution, grid.anchor, grid.offset) == (sent.resolution, sent.anchor, sent.offset)
+    assert (grid.epoch, grid.revision, grid.stamp) == ("e", 3, 17)
+    np.testing.assert_allclose(grid.log_odds, LOG_ODDS, atol=model.step)
+    assert grid.origin == snapshot.origin == (9.0, -18.0)
+    with pytest.raises(BadParameter, match="blocks of 2 x 2"):
+        MapGrid.from_snapshot(snapshot.shrink(2))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
