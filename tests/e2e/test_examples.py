@@ -133,6 +133,32 @@ def test_the_table_lists_every_example():
     assert {name for name, _ in listed} == there
 
 
+def test_all_but_the_one_that_makes_a_map_do_with_the_client():
+    texts = {path.name: path.read_text() for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
+    assert [name for name, text in texts.items() if "ogm_core" in text] == ["map_without_network.py"]
+    assert not [name for name, text in texts.items() if "ogm_services" in text]
+
+
+def test_arrays_become_a_map_without_network(tmp_path):
+    example = runpy.run_path(str(EXAMPLES / "map_without_network.py"))
+    room = example["map_of"](example["readings"]())
+    printed = done(run(tmp_path, "map_without_network.py", "--out", "room.png"))
+    assert printed == f"room.png: {room.width} x {room.height} cells, of 11 scans\n"
+    with Image.open(tmp_path / "room.png") as image:
+        shades = {0: 100, 254: 0, 205: -1}
+        assert [[shades[grey] for grey in row] for row in np.asarray(image)[::-1]] == room.occupancy.tolist()
+    for x, y in [(3.02, 0.5), (-3.02, -1.5), (0.5, 2.02), (-2.5, 2.02), (1.5, -2.02)]:
+        assert room.at(x, y) > 0.65, (x, y)
+    for x, y in [(0.0, 0.0), (2.9, 1.9), (-2.9, -1.9), (1.5, 2.02), (1.5, 2.5)]:
+        assert room.at(x, y) < 0.196, (x, y)
+    for x, y in [(0.5, 2.2), (-2.0, 2.2)]:
+        assert math.isnan(room.at(x, y)), (x, y)
+    of_arrays = example["map_of"]((pose, np.array(ranges)) for pose, ranges in example["readings"]())
+    np.testing.assert_array_equal(room.log_odds, of_arrays.log_odds)
+    core = EXAMPLES.joinpath("map_without_network.py").read_text().split("def map_of")[1].split("\n\n\n")[0]
+    assert len(core.splitlines()) <= 10
+
+
 def test_every_scan_of_the_robot_is_in_the_map(mapper, grid, robot):
     status = mapper.status()
     assert status["scans"]["integrated"] == status["scans"]["received"] == SCANS
@@ -300,6 +326,7 @@ def test_when_nobody_answers_every_example_says_what_to_check(endpoint, mapper, 
     commands = {
         ("publish_a_robot.py", "--address", endpoint): endpoint,
         ("subscribe_and_plot.py", "--out", "x.png", "--url", endpoint): endpoint,
+        ("map_without_network.py", "--out", "no/such/folder.png"): "No such file",
         ("export_to_nav2.py", "--url", endpoint): endpoint,
         ("export_to_nav2.py", "--url", mapper.endpoint, "--map", "hall"): "no mapper of map 'hall'",
         ("export_to_nav2.py", "--url", mapper.endpoint, "--out", "no/such/folder"): "No such file",
