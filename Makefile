@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check coverage format pictures variants costs bench bench-quick clean
+.PHONY: demo test check coverage format pictures page-picture variants costs bench bench-quick clean
 
 demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
@@ -40,6 +40,10 @@ $(BIN)/ogm build build/pictures/$(1).jsonl.gz --out build/pictures/$(1)
 cp build/pictures/$(1)/map.png docs/$(1).png
 endef
 
+# The live page that README.md shows, half way through the office: two minutes, and Chromium.
+page-picture: $(VENV)/.run $(VENV)/.kernels
+	$(BIN)/python -m docs.page_picture $(ARGS)
+
 # The tables of docs/variants.md.
 variants: $(VENV)/.run $(VENV)/.kernels
 	$(BIN)/python docs/variants.py
@@ -72,9 +76,11 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.run: pyproject.toml | $(BIN)/python
+	@echo "Installing into $(VENV), once: 140 MB to download, 0.6 GB on disk, a minute or so."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python
+	@echo "Installing into $(VENV), once, with the tools of development: 0.8 GB on disk, a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.run
