@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: run the benchmarks, show their table and keep it, the targets in README.md, too.
+"""`python -m benchmarks`: run the benchmarks, show their table and keep it, the targets in docs, too.
 
 `--quick` takes fewer scans and rounds; its table goes to build/benchmarks, as does that of some benchmarks
 chosen by their names.
@@ -18,7 +18,7 @@ from benchmarks.table import Result, as_text, keep, targets
 from docs.variants import with_table
 
 ROOT = Path(__file__).parents[1]
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "benchmarks.md"
 BENCHMARKS = (
     "integration",
     "threads",
@@ -53,7 +53,7 @@ def main() -> None:
     folder = ROOT / ("benchmarks/results" if whole else "build/benchmarks")
     keep(results, folder, f"Measured on {machine()}")
     if whole:
-        README.write_text(with_table(README.read_text("utf-8"), "speed", targets(results)), encoding="utf-8")
+        PAGE.write_text(with_table(PAGE.read_text("utf-8"), "speed", targets(results)), encoding="utf-8")
     print(f"kept in {folder.relative_to(ROOT)}")
 
 

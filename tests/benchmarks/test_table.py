@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-from benchmarks.__main__ import benchmark
+from benchmarks.__main__ import PAGE, ROOT, benchmark
 from benchmarks.table import Result, as_markdown, as_text, keep, targets, with_unit
+from docs.variants import with_table
 
 RESULTS = [
     Result("speed", "fast", 5.251, "x", 5.0),
@@ -86,6 +87,15 @@ def test_kept_results_can_be_read_again(tmp_path):
     assert [result.pop("met") for result in kept] == [True, False, None, True, False]
     assert [Result(**result) for result in kept] == RESULTS
     assert (tmp_path / "new" / "folder" / "results.md").read_text() == as_markdown(RESULTS, "Measured")
+
+
+def test_the_page_shows_the_targets_of_the_results_that_are_kept():
+    kept = json.loads((ROOT / "benchmarks" / "results" / "results.json").read_text())
+    for result in kept:
+        del result["met"]
+    page = PAGE.read_text(encoding="utf-8")
+    assert with_table(page, "speed", targets([Result(**result) for result in kept])) == page
+    assert with_table(page, "speed", "| other |\n") != page
 
 
 def test_a_benchmark_that_is_not_there_is_left_out():

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import urllib.request
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -235,6 +235,19 @@ def module_ogm(tmp_path_factory):
     started = Ogm(tmp_path_factory.mktemp("ogm"))
     yield started
     started.close()
+
+
+@pytest.fixture(scope="module")
+def ogm_in():
+    """`ogm_in(folder)`: starts commands in a folder that the module's tests share."""
+    with ExitStack() as ending:
+
+        def start_in(folder):
+            started = Ogm(folder)
+            ending.callback(started.close)
+            return started
+
+        yield start_in
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,12 @@
 """What README.md and the pages beside it say in tables, flags, links and make targets is what there is."""
 
+import importlib
 import json
 import os
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import msgpack
@@ -21,13 +23,17 @@ from ogm_services.runtime import endings
 from ogm_services.settings.settings import Settings
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
-PAGES = ("README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/costs.md")
+README = "README.md"
+DOCS = tuple(sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+PAGES = (README, *DOCS, "CONTRIBUTING.md", "examples/README.md")
+TEXTS = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
+PACKAGES = {"ogm_core": ROOT, "ogm_services": ROOT / "services", "ogm_client": ROOT / "clients"}
 
 
-def _table(head):
-    """Rows of the table whose head begins so: every cell's text, and the names in `quotes` in it."""
-    lines = README[README.index(f"| {head} |") :].split("\n\n")[0].splitlines()[2:]
+def _table(page, head):
+    """Rows of the page's table whose head begins so: every cell's text."""
+    text = TEXTS[page]
+    lines = text[text.index(f"| {head} |") :].split("\n\n")[0].splitlines()[2:]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
@@ -37,7 +43,7 @@ def _quoted(text):
 
 def test_table_of_settings():
     documented, section = {}, None
-    for names, key, default, _ in _table("section"):
+    for names, key, default, _ in _table("docs/settings.md", "section"):
         section = next(iter(_quoted(names)), section)
         documented[section, _quoted(key)[0]] = default
     assert documented == {
@@ -48,7 +54,9 @@ def test_table_of_settings():
 
 
 def test_table_of_routes(ogm):
-    documented = {_quoted(route)[0]: set(_quoted(parameters)) for route, parameters, _ in _table("route")}
+    documented = {
+        _quoted(route)[0]: set(_quoted(parameters)) for route, parameters, _ in _table(README, "route")
+    }
     mapper = ogm.ready(ogm.mapper())
     paths = json.loads(mapper.get("openapi.json"))["paths"]
     served = {
@@ -76,14 +84,14 @@ def test_table_of_keys():
     short = {"<map>": "M", "<robot>": "R", "<sensor>": "S", "<service>": "A", "<id>": "I", "<run>": "N"}
     documented = {
         re.sub("<[a-z]+>", lambda name: short[name[0]], _quoted(key)[0]): kind
-        for key, kind, _ in _table("key")
+        for key, kind, _ in _table("docs/protocol.md", "key")
     }
     assert documented == names
 
 
 def test_table_of_message_fields():
     documented, message = {}, None
-    for first, fields, _ in _table("message"):
+    for first, fields, _ in _table("docs/protocol.md", "message"):
         message = first or message
         documented.setdefault(message, []).extend(_quoted(fields))
     scan = Scan(0, 0.0, 0.1, 0.0, 1.0, np.ones(1, np.float32), pose=IDENTITY)
@@ -94,28 +102,154 @@ def test_table_of_message_fields():
 
 def test_tables_of_commands_and_drop_reasons():
     commands = typer.main.get_command(app).commands
-    assert [_quoted(command)[0].split()[1] for command, _ in _table("command")] == list(commands)
-    assert [_quoted(reason)[0] for reason, _ in _table("reason")] == list(DROP_REASONS)
+    assert [_quoted(command)[0].split()[1] for command, _ in _table(README, "command")] == list(commands)
+    assert [_quoted(reason)[0] for reason, _ in _table("docs/operate.md", "reason")] == list(DROP_REASONS)
 
 
-def test_flags_and_exit_codes_exist():
+@pytest.mark.parametrize("page", [README, *DOCS])
+def test_flags_exist(page):
     commands = typer.main.get_command(app).commands.values()
     flags = {flag for command in commands for option in command.params for flag in option.opts} | {"--help"}
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README.replace("<!--", ""))) - flags == set()
-    codes = re.search(r"Exit codes: (\d) done, (\d) .+?, (\d) .+?,\s(\d+) ", README, re.DOTALL).groups()
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXTS[page].replace("<!--", ""))) - flags == set()
+
+
+def test_exit_codes():
+    codes = re.search(
+        r"Exit codes: (\d) done, (\d) .+?, (\d) .+?,\s(\d+) ", TEXTS["docs/operate.md"], re.DOTALL
+    )
     expected = (0, endings.FAILED, endings.BAD_INPUT, endings.INTERRUPTED)
-    assert tuple(map(int, codes)) == expected
+    assert tuple(map(int, codes.groups())) == expected
+
+
+def _anchors(page):
+    """What a link's `#part` may be: the page's headings, as GitHub writes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page):
-    text = (ROOT / page).read_text()
-    links = re.findall(r"\]\((?!http)([^)#]+)\)|src=\"([^\"]+)\"", text)
+    links = re.findall(r"\]\((?!http)([^)]+)\)|src=\"([^\"]+)\"", TEXTS[page])
     assert links
     for link in map("".join, links):
-        assert ((ROOT / page).parent / link).exists(), link
-    for name in re.findall(r"`((?:ogm_core|services|clients|tests)/[\w/.]*)`", text):
-        assert (ROOT / name).exists(), name
+        path, _, part = link.partition("#")
+        target = (ROOT / page).parent / path if path else ROOT / page
+        assert target.exists(), link
+        assert not part or part in _anchors(target), link
+
+
+def test_every_page_can_be_reached_from_the_first():
+    reached, waiting = set(), [README]
+    while waiting:
+        page = waiting.pop()
+        reached.add(page)
+        linked = re.findall(r"\]\((?!http)([^)#]+\.md)[^)]*\)", (ROOT / page).read_text(encoding="utf-8"))
+        paths = {os.path.relpath((ROOT / page).parent / link, ROOT) for link in linked}
+        waiting.extend(paths - reached - set(waiting))
+    assert set(PAGES) <= reached
+
+
+def _modules():
+    """Every module of the three packages, by its path below the project's folder."""
+    return {
+        str(path.relative_to(ROOT)): importlib.import_module(
+            ".".join(path.relative_to(parent).with_suffix("").parts)
+        )
+        for package, parent in PACKAGES.items()
+        for path in sorted((parent / package).rglob("*.py"))
+        if path.name not in ("__init__.py", "__main__.py")
+    }
+
+
+@pytest.fixture(scope="module")
+def modules():
+    return _modules()
+
+
+def _has(module, name):
+    """Whether a module has what a dotted name says."""
+    found = module
+    for part in name.split("."):
+        if not hasattr(found, part):
+            return False
+        found = getattr(found, part)
+    return True
+
+
+def _lines_of_thought(text):
+    """Rows of tables, and paragraphs or items of lists."""
+    return re.split(r"\n(?=\|)|\n\n|\n(?=- |\d\. )", text)
+
+
+PATH = re.compile(r"(?:ogm_core|services|clients|tests|benchmarks|examples|docker|docs)/[\w/.-]*")
+CALL = re.compile(r"([A-Za-z_][\w.]*)\(\)")
+NAME = re.compile(r"(?:[A-Z]+[a-z]+\w*|[A-Z]+_[A-Z_]+)(?:\.\w+)*")
+
+
+@pytest.mark.parametrize("page", ["docs/method.md", "docs/architecture.md", "CONTRIBUTING.md"])
+def test_what_a_page_names_exists(page, modules):
+    missing = []
+    for thought in _lines_of_thought(TEXTS[page]):
+        quoted = _quoted(thought)
+        paths = list(filter(PATH.fullmatch, quoted))
+        missing += [path for path in paths if not (ROOT / path).exists()]
+        near = [modules[path] for path in paths if path in modules] or list(modules.values())
+        for name in quoted:
+            call = CALL.fullmatch(name)
+            if call and not any(_has(module, call[1]) for module in near):
+                missing.append(name)
+            if NAME.fullmatch(name) and not name.startswith("OGM_"):
+                missing += [] if any(_has(module, name) for module in modules.values()) else [name]
+    assert missing == []
+
+
+def test_the_picture_of_the_architecture_names_what_exists(modules):
+    texts = re.findall(
+        r">([^<>\n]+)</text>", (ROOT / "docs" / "architecture.svg").read_text(encoding="utf-8")
+    )
+    names = [text for text in texts if re.fullmatch(r"[A-Z]\w*[a-z][A-Z]\w*(\.\w+)?", text)]
+    assert len(names) >= 7
+    files = {Path(path).stem for path in modules}
+    names += [text for text in texts if re.fullmatch("[a-z]+_[a-z]+", text)]
+    assert [
+        name for name in names if name not in files and not any(_has(m, name) for m in modules.values())
+    ] == []
+
+
+def test_every_line_of_the_method_names_a_function_and_its_file(modules):
+    text = TEXTS["docs/method.md"]
+    rows = [
+        row
+        for head in re.findall(r"\| line \|.*?(?=\n\n|\Z)", text, re.DOTALL)
+        for row in head.splitlines()[2:]
+    ]
+    assert len(rows) >= 35
+    for row in rows:
+        _, done_by = row.strip("|").rsplit("|", 1)
+        quoted = _quoted(done_by)
+        assert [name for name in quoted if name in modules], row
+        names = [name.removesuffix("()") for name in quoted if name not in modules]
+        assert names, row
+        for name in names:
+            assert any(_has(modules[path], name) for path in quoted if path in modules), (name, row)
+
+
+def test_the_rooms_are_those_of_the_import_contracts():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = {
+        contract["containers"][0]: contract["layers"] for contract in contracts if "containers" in contract
+    }
+    assert len(layers) == 3
+    for container, expected in layers.items():
+        folder = "services/" * (container != "ogm_core") + container.replace(".", "/") + "/"
+        floors = []
+        for floor, room, about in _table("docs/architecture.md", rf"floor | `{folder}`"):
+            if floor:
+                floors.append(set())
+            floors[-1].update(_quoted(room))
+            assert about, room
+        there = [{room for room in re.split(r"\s*[|:]\s*", layer) if "(" not in room} for layer in expected]
+        assert floors == there
 
 
 def test_make_targets_do_what_is_said():
@@ -123,8 +257,8 @@ def test_make_targets_do_what_is_said():
         pytest.skip("make is not installed")
     environ = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     does = {"demo": ".venv/bin/ogm demo", "test": ".venv/bin/python -m pytest"}
-    mentioned = {target for page in PAGES for target in re.findall(r"make ([a-z]+)", _code(ROOT / page))}
-    assert mentioned >= {"demo", "test", "check", "format", "pictures"}
+    mentioned = {target for page in PAGES for target in re.findall(r"make ([a-z-]+)", _code(TEXTS[page]))}
+    assert mentioned >= {"demo", "test", "check", "format", "pictures", "page-picture", "bench-quick"}
     for target in mentioned:
         ended = subprocess.run(
             ["make", "-n", target], cwd=ROOT, env=environ, capture_output=True, text=True, check=False
@@ -133,7 +267,21 @@ def test_make_targets_do_what_is_said():
         assert does.get(target, "") in ended.stdout
 
 
-def _code(page):
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_the_first_make_says_how_much_it_installs_before_it_does(target, tmp_path):
+    if shutil.which("make") is None:
+        pytest.skip("make is not installed")
+    environ = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    command = ["make", "-n", target, f"VENV={tmp_path / 'venv'}"]
+    ended = subprocess.run(command, cwd=ROOT, env=environ, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    lines = ended.stdout.splitlines()
+    (said,) = (number for number, line in enumerate(lines) if line.startswith("echo"))
+    (installed,) = (number for number, line in enumerate(lines) if "pip install" in line)
+    assert said == installed - 1
+    assert re.search(r"once.* GB on disk", lines[said])
+
+
+def _code(text):
     """What stands in `quotes` and in blocks."""
-    text = page.read_text()
     return "\n".join([*re.findall(r"`([^`]+)`", text), *re.findall(r"^```.*?^```", text, re.M | re.S)])
