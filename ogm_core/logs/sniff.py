@@ -13,7 +13,7 @@ JSON_SUFFIXES = (".jsonl", ".jsonl.gz")
 CARMEN_SUFFIXES = (".log", ".log.gz", ".clf", ".clf.gz")
 READ = f"JSON lines ({', '.join(JSON_SUFFIXES)}) and CARMEN ({', '.join(CARMEN_SUFFIXES)})"
 
-_SEE = "see README.md, Recorded logs"
+_SEE = "see docs/logs.md"
 _CONVERT = f"convert it to JSON lines ({_SEE})"
 _UNPACK = "unpack it, and give the log that is in it"
 _GZIP = b"\x1f\x8b"

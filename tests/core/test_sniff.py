@@ -15,7 +15,7 @@ from ogm_core.logs.recordings import RecordingReader
 
 CARMEN = b"# CARMEN Logfile\n\n" + odom() + b"\n" + flaser([1] * 180) + b"\n"
 JSON_LINES = line(POSE) + b"\n" + line(SCAN) + b"\n"
-CONVERT = "convert it to JSON lines (see README.md, Recorded logs)"
+CONVERT = "convert it to JSON lines (see docs/logs.md)"
 READ = "JSON lines (.jsonl, .jsonl.gz) and CARMEN (.log, .log.gz, .clf, .clf.gz)"
 
 
@@ -171,7 +171,7 @@ def test_utf_16(complaint, name, encoding):
 
 def test_one_json_array(complaint):
     """Its last element may stand on a line of its own: that one must not become the map."""
-    expected = "one JSON array, not JSON lines: write one message a line (see README.md, Recorded logs)"
+    expected = "one JSON array, not JSON lines: write one message a line (see docs/logs.md)"
     array = b" \n[\n" + line(SCAN) + b",\n" + line(SCAN) + b"\n]\n"
     assert complaint("log.jsonl", array) == expected
     assert complaint("log.jsonl.gz", gzip.compress(array)) == expected
@@ -182,9 +182,7 @@ def test_one_json_object_over_many_lines(complaint):
     said = complaint("log.jsonl", json.dumps({"scans": [SCAN]}, indent=1).encode())
     assert said.startswith("holds no scan; ")
     assert "lines are malformed, first line 1: not JSON" in said
-    assert said.endswith(
-        "; it looks like one JSON document: write one message a line (see README.md, Recorded logs)"
-    )
+    assert said.endswith("; it looks like one JSON document: write one message a line (see docs/logs.md)")
 
 
 def test_text_of_one_format_under_the_name_of_another(complaint):
