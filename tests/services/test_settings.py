@@ -342,5 +342,7 @@ def test_a_flag_by_its_old_name_overrides_the_file_by_the_new_one(tmp_path):
 
 def test_both_names_at_once_are_refused():
     flags = {"map": {"model": "beam", "sensor_model": "sector"}}
-    with pytest.raises(BadSetting, match=r"map\.model is map\.sensor_model now: give one of them \(--model\)"):
+    with pytest.raises(
+        BadSetting, match=r"map\.model is map\.sensor_model now: give one of them \(--model\)"
+    ):
         load_settings(config=None, flags=flags, environ={})
