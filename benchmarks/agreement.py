@@ -17,7 +17,7 @@ def log_odds_in(rect: CellRect, grid: OccupancyGrid) -> NDArray[np.float64]:
     """Log odds of a rectangle of cells that holds the map, [iy, ix]; NaN where unknown."""
     snapshot = grid.snapshot()
     log_odds = np.full((rect.height, rect.width), np.nan)
-    known = np.where(snapshot.model.known(snapshot.cells), snapshot.model.log_odds(snapshot.cells), np.nan)
+    known = np.where(snapshot.published()[1], snapshot.log_odds(), np.nan)
     x, y = snapshot.offset[0] - rect.ix, snapshot.offset[1] - rect.iy
     log_odds[y : y + snapshot.height, x : x + snapshot.width] = known
     return log_odds

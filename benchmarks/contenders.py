@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.process import NoPeer, Peer, build
 from benchmarks.workloads import Workload
+from ogm_core.cells.log_odds import PLANE
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -68,7 +69,7 @@ class Ours:
         if not self.new_memory:
             store = old._store
             for strip, column in zip(
-                store.touched, store.cells.reshape(*store.touched.shape, -1), strict=True
+                store.touched, store.planes[PLANE].tiles(store.touched.shape), strict=True
             ):
                 column[strip != 0] = 0
             self.grid._store = store

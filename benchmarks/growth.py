@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.types import PlacedScan, Pose, Scan
@@ -52,8 +53,8 @@ class Case:
         """The map before the first scan."""
         grid = OccupancyGrid(GridSettings(resolution=self.resolution, **VARIANTS[variant]))
         if self.side:
-            known = grid.model.store(np.zeros(1), np.ones(1, np.bool_))
-            grid.begin_with(np.full((self.side, self.side), known[0]))
+            known = LogOdds().store(np.zeros(1), np.ones(1, np.bool_))
+            grid.begin_with({PLANE: np.full((self.side, self.side), known[0])})
         return grid
 
     def scans(self) -> list[PlacedScan]:

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Literal
 
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.model import CellModel
 from ogm_core.errors import BadSetting
 from ogm_core.lattice import CellRect, Lattice, Region, bounded
 
@@ -33,7 +34,7 @@ class GridSettings:
     """
 
     resolution: float = 0.05
-    cell_model: LogOdds = field(default_factory=LogOdds)
+    cell_model: CellModel = field(default_factory=LogOdds)
     sensor_model: SensorModel = "beam"
     traversal: Traversal = "bresenham"
     alpha: float = 0.1
@@ -52,6 +53,11 @@ class GridSettings:
             raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
         if self.clear_range is not None and not self.clear_range >= 0.0:
             raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
+        if self.sensor_model not in self.cell_model.sensor_models:
+            raise BadSetting(
+                f"sensor_model: cell model {type(self.cell_model).__name__} takes "
+                f"{' or '.join(sorted(self.cell_model.sensor_models))}, not {self.sensor_model}"
+            )
         rect = self.bounds_rect
         if rect is not None and rect.cells > self.max_cells:
             raise BadSetting(

@@ -1,52 +1,30 @@
 """A copy of a map at one revision: what readers get, cut and shrunk before it is encoded."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import OCCUPIED, trinary
-from ogm_core.cells.log_odds import LogOdds
-from ogm_core.cells.model import Encoder, StoredCells
+from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.model import CellModel, CellSource, Encoder, Known, Probability, StoredCells, row_bands
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice, Region
 
-
-class CellSource(Protocol):
-    """Stored cells that are not yet one array, [iy, ix], row 0 south; they never change."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-
-    def __getitem__(self, part: tuple[slice, slice]) -> StoredCells:
-        """The cells of some rows and columns."""
-
-    def dense(self) -> StoredCells:
-        """All of them."""
-
-    def known_cells(self) -> int:
-        """How many of them were ever updated."""
-
-    def value_counts(self) -> NDArray[np.int64]:
-        """How often each int16 cell but 0, unknown, occurs, shape (65536,), by its bits."""
-
-    def png(self, model: LogOdds, encoder: Encoder) -> bytes:
-        """PNG of what `encoder` draws of them, north up; there is at least one cell."""
+_ALL = slice(None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapSnapshot:
-    """Stored cells of a rectangle of the map, and what is needed to read them.
+    """Cells of a rectangle of the map, and what is needed to read them.
 
-    `stored` is [iy, ix], shape (height, width), row 0 south, as `model` stores them: an array, or what makes
-    one. `offset` is the lower-left cell (ix, iy). `stamp` is that of the newest integrated scan, ns since the
-    Unix epoch, None if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
+    `stored` gives the planes that `model` keeps: [iy, ix], shape (height, width), row 0 south. `offset` is
+    the lower-left cell (ix, iy). `stamp` is that of the newest integrated scan, ns since the Unix epoch, None
+    if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
     """
 
-    stored: StoredCells | CellSource
-    model: LogOdds
+    stored: CellSource
+    model: CellModel
     lattice: Lattice
     offset: tuple[int, int]
     epoch: str
@@ -56,17 +34,18 @@ class MapSnapshot:
 
     @property
     def cells(self) -> StoredCells:
-        """The stored cells as one array."""
-        return self.stored if isinstance(self.stored, np.ndarray) else self.stored.dense()
+        """The stored cells of a model that has one plane."""
+        (plane,) = self.model.planes
+        return self.stored.planes()[plane.name]
 
     @property
     def width(self) -> int:
-        """Columns of `cells`."""
+        """Columns."""
         return int(self.stored.shape[1])
 
     @property
     def height(self) -> int:
-        """Rows of `cells`."""
+        """Rows."""
         return int(self.stored.shape[0])
 
     @property
@@ -77,9 +56,7 @@ class MapSnapshot:
     @property
     def known_cells(self) -> int:
         """How many cells were ever updated."""
-        if isinstance(self.stored, np.ndarray):
-            return int(np.count_nonzero(self.model.known(self.stored)))
-        return self.stored.known_cells()
+        return self.model.known_cells(self.stored)
 
     @property
     def resolution(self) -> float:
@@ -95,6 +72,26 @@ class MapSnapshot:
     def rect(self) -> CellRect:
         """The map's cells under the pixels; after `shrink` the last row and column may reach beyond them."""
         return CellRect(*self.offset, self.width * self.factor, self.height * self.factor)
+
+    def published(self, rows: slice = _ALL, columns: slice = _ALL) -> tuple[Probability, Known]:
+        """Probability of "occupied", the prior's where unknown, and which cells were ever updated."""
+        return self.model.published(self.stored.planes(rows, columns, self.model.margin))
+
+    def log_odds(self, rows: slice = _ALL, columns: slice = _ALL) -> NDArray[np.float64]:
+        """Log odds of "occupied", the prior's where unknown."""
+        return self.model.published_log_odds(self.stored.planes(rows, columns, self.model.margin))
+
+    def encode(self, encoder: Encoder, rows: slice = _ALL) -> NDArray[Any]:
+        """What an elementwise encoder makes of the cells of some rows."""
+        south, north, _ = rows.indices(self.height)
+        encoded = np.empty(
+            (max(north - south, 0), self.width), encoder(np.empty(0), np.empty(0, np.bool_)).dtype
+        )
+        for band in row_bands(encoded.shape):
+            part = slice(south + band.start, min(south + band.stop, north))
+            planes = self.stored.planes(part, _ALL, self.model.margin)
+            encoded[band] = self.model.encoded(planes, encoder)
+        return encoded
 
     def meta(self) -> dict[str, Any]:
         """What every map reply carries, in the names and shapes of /map.json.
@@ -132,7 +129,8 @@ class MapSnapshot:
         right = _divided_up(part.ix + part.width - self.rect.ix, self.factor)
         top = _divided_up(part.iy + part.height - self.rect.iy, self.factor)
         offset = self.offset[0] + left * self.factor, self.offset[1] + bottom * self.factor
-        return replace(self, stored=self.stored[bottom:top, left:right], offset=offset)
+        part_of = self.stored.part(slice(bottom, top), slice(left, right))
+        return replace(self, stored=part_of, offset=offset)
 
     def shrink(self, max_size: int) -> "MapSnapshot":
         """The map with square blocks of cells in place of cells, by the smallest whole factor that fits.
@@ -149,44 +147,12 @@ class MapSnapshot:
         factor = _divided_up(max(self.width, self.height), max_size)
         if factor <= 1:
             return self
-        return replace(self, stored=_blocks(self.model, self.cells, factor), factor=self.factor * factor)
+        model, planes = self.model.pooled(self.stored, factor)
+        return replace(self, stored=CellArrays(planes), model=model, factor=self.factor * factor)
 
     def _extent(self) -> Region:
         ix, iy, width, height = self.rect
         return Region(*self.origin, *self.lattice.corner_of(ix + width, iy + height))
-
-
-def _blocks(model: LogOdds, cells: StoredCells, factor: int) -> StoredCells:
-    """One stored cell per block. Stored cells grow with their probability, so they are compared as stored."""
-    least, most = _ends(cells.dtype)
-    known = model.known(cells)
-    highest = _pooled(np.maximum, np.where(known, cells, least), factor)
-    lowest = _pooled(np.minimum, np.where(known, cells, most), factor)
-    blocks = np.where(model.encode(highest, trinary) == OCCUPIED, highest, lowest)
-    blocks[highest == least] = 0
-    return blocks
-
-
-def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:
-    """The ends of a type's range; the lower one is not a cell (see cells.log_odds)."""
-    if dtype.kind == "f":
-        return dtype.type(-np.inf), dtype.type(np.inf)
-    limits = np.iinfo(dtype)
-    return dtype.type(limits.min), dtype.type(limits.max)
-
-
-def _pooled(extreme: np.ufunc, cells: StoredCells, factor: int) -> StoredCells:
-    """The `extreme` of every block of `factor` x `factor` cells; the last ones may be smaller."""
-    return _pooled_rows(extreme, _pooled_rows(extreme, cells, factor).T, factor).T
-
-
-def _pooled_rows(extreme: np.ufunc, cells: StoredCells, factor: int) -> StoredCells:
-    # One pass over whole rows per row of a block: five times faster than reduceat or a 4-D reshape.
-    pooled = cells[::factor].copy(order="K")
-    for row in range(1, min(factor, len(cells))):
-        part = cells[row::factor]
-        extreme(pooled[: len(part)], part, out=pooled[: len(part)])
-    return pooled
 
 
 def _divided_up(a: int, b: int) -> int:

@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from ogm_core.cells.log_odds import PLANE
+
 
 def classify(r, range_min, range_max, alpha, clear_range=math.inf, reach=math.inf):
     """None for a beam without evidence, else (is a hit, length)."""
@@ -224,4 +226,5 @@ def stored(store, rect):
     """The stored cells of a rectangle inside a TileStore, by each one's address; shape (height, width)."""
     i = rect.ix - store.rect.ix + np.arange(rect.width)
     j = rect.iy - store.rect.iy + np.arange(rect.height)
-    return store.cells[store.column[i] + 64 * j[:, None]]
+    plane = store.planes[PLANE]
+    return plane.cells[plane.column[i] + 64 * j[:, None]]

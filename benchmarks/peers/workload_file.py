@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.workloads import Workload, settings_of
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.types import PlacedScan
@@ -24,7 +25,7 @@ def write_workload(work: Workload, path: Path) -> CellRect:
     settings = settings_of(work, cells="float64")
     lattice, bounds = settings.lattice, settings.bounds_rect
     rect = bounds or cells_in_reach(work, lattice)
-    model = settings.cell_model
+    model = LogOdds("float64")
     clear_range = math.inf if work.clear_range is None else work.clear_range
     header = [work.resolution, first.range_min, first.range_max, work.alpha, clear_range]
     header += [first.angle_min, first.angle_increment, *lattice.anchor, *rect, work.outside == "drop"]

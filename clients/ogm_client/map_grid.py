@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from ogm_client.notebook import html_of
 from ogm_client.raycast import Ray, RayCaster, Rays
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import trinary
-from ogm_core.cells.log_odds import LogOdds, probability_of
+from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
-from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml, log_odds_of
+from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 
@@ -61,7 +62,8 @@ class MapGrid:
                 f"snapshot: cells are needed, got blocks of {snapshot.factor} x {snapshot.factor}"
             )
         place = snapshot.lattice.resolution, snapshot.lattice.anchor, snapshot.offset
-        return cls(log_odds_of(snapshot), *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
+        log_odds = snapshot.model.arrays(snapshot.stored)[PLANE]
+        return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
 
     @property
     def width(self) -> int:
@@ -235,7 +237,8 @@ class MapGrid:
 
     def _snapshot_of(self, cells: StoredCells) -> MapSnapshot:
         model = LogOdds(cells="float64")
-        return MapSnapshot(cells, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
+        stored = CellArrays.of(model, cells)
+        return MapSnapshot(stored, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
 
 
 def _region(values: Sequence[float]) -> Region:

@@ -1,11 +1,13 @@
 """What a cell's probability becomes when it is served: element by element, from (probability, known).
 
-Every encoder here is a `model.Encoder`: hand it to `LogOdds.encode` for stored cells, or call it
-with two arrays of one shape.
+Every encoder here is a `model.Encoder`: hand it to `MapSnapshot.encode`, or call it with two
+arrays of one shape.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ogm_core.cells.model import Known, Probability
 
 OCCUPIED_ABOVE = 0.65
 FREE_BELOW = 0.196
@@ -22,9 +24,6 @@ GREY_UNKNOWN = 205
 """Greys that ROS 2 nav2 map_server writes: (255 - 205) / 255 = 0.19608 lies just above its 0.196."""
 GREY_MIDDLE = 127
 """Unknown in a probability picture."""
-
-Probability = NDArray[np.float64]
-Known = NDArray[np.bool_]
 
 
 def trinary(p: Probability, known: Known) -> NDArray[np.int8]:

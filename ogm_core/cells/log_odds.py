@@ -1,8 +1,7 @@
 """The log-odds cell model: what a cell stores, how an observation changes it, and what it means.
 
 Every observation adds a constant to l = ln(p / (1 - p)), the log odds of "occupied", and the sum is clamped
-(Moravec & Elfes 1985; Elfes 1989; Thrun, Burgard & Fox 2005, ch. 9). Everything outside this module (layout,
-traversal, serving) knows a cell only through its model: its dtype, its update, its probability.
+(Moravec & Elfes 1985; Elfes 1989; Thrun, Burgard & Fox 2005, ch. 9).
 
 Two storage forms, both with a stored 0 for "never updated", so that untouched memory is an unknown map:
 
@@ -14,7 +13,6 @@ Two storage forms, both with a stored 0 for "never updated", so that untouched m
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -22,15 +20,28 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.model import Encoder, StoredCells
+from ogm_core.cells.classes import OCCUPIED, trinary
+from ogm_core.cells.model import (
+    P_EDGE,
+    CellEvidence,
+    CellModel,
+    CellSource,
+    Encoder,
+    Known,
+    Plane,
+    Planes,
+    Probability,
+    StoredCells,
+    row_bands,
+)
+from ogm_core.cells.published import pooled_extreme
 from ogm_core.errors import BadSetting
 
 CellType = Literal["int16", "float64"]
 
-P_EDGE = 1e-9
-"""Probabilities are clipped to [1e-9, 1 - 1e-9] before the logit is taken."""
 FULL_SCALE = 16383
-_BAND_CELLS = 2**18
+PLANE = "log_odds"
+"""Name of the model's only plane."""
 
 
 class CellConstants(NamedTuple):
@@ -56,7 +67,7 @@ def logit(p: float) -> float:
 
 
 @dataclass(frozen=True)
-class LogOdds:
+class LogOdds(CellModel):
     """A log-odds model: probabilities of the prior and of the two observations, clamps, storage form.
 
     Raises:
@@ -116,6 +127,17 @@ class LogOdds:
         """Type of a stored cell."""
         return np.dtype(self.cells)
 
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """One plane of log odds."""
+        return (Plane(PLANE, self.dtype),)
+
+    def update(
+        self, evidence: CellEvidence, store: object, window: tuple[int, int, int, int], revision: int
+    ) -> int:
+        """Add a constant to every cell that a scan speaks of (see cells.updates)."""
+        return evidence.update_cells(store, window, revision, PLANE, tuple(self.constants))
+
     @cached_property
     def constants(self) -> CellConstants:
         """Increments, clamps and prior in stored units."""
@@ -162,13 +184,57 @@ class LogOdds:
     def encode(self, cells: StoredCells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
         encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
-        for band in row_bands(cells):
+        for band in row_bands(cells.shape):
             part = cells[band]
             if cells.dtype == np.float64:
                 encoded[band] = encoder(self.probability(part), self.known(part))
             else:
                 np.take(self.table(encoder), part.view(np.uint16), out=encoded[band], mode="clip")
         return encoded
+
+    def published(self, planes: Planes) -> tuple[Probability, Known]:
+        """Probability, the prior's where unknown, and whether ever updated."""
+        return self.probability(planes[PLANE]), self.known(planes[PLANE])
+
+    def published_log_odds(self, planes: Planes) -> NDArray[np.float64]:
+        """Log odds as they are stored, the prior's where unknown."""
+        return self.log_odds(planes[PLANE])
+
+    def encoded(self, planes: Planes, encoder: Encoder) -> NDArray[Any]:
+        """What an elementwise encoder makes of the cells."""
+        return self.encode(planes[PLANE], encoder)
+
+    def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
+        """Log odds, NaN where unknown; float64 of float64 cells, else float32."""
+        cells = source.planes()[PLANE]
+        served = np.empty(cells.shape, np.float64 if cells.dtype == np.float64 else np.float32)
+        for band in row_bands(cells.shape):
+            served[band] = np.where(self.known(cells[band]), self.log_odds(cells[band]), np.nan)
+        return {PLANE: served}
+
+    def known_cells(self, source: CellSource) -> int:
+        """How many cells were ever updated: every one of them is stored as something else than 0."""
+        return source.written(PLANE)
+
+    def levels(self, source: CellSource) -> tuple[Probability, NDArray[np.int64]]:
+        """Probabilities of the known cells, each once, and how many have it; of int16, all there can be."""
+        if self.cells == "int16":
+            every = np.arange(2**16, dtype=np.uint16).view(np.int16)
+            return self.probability(every), source.value_counts(PLANE)
+        cells = source.planes()[PLANE]
+        values, counts = np.unique(cells[self.known(cells)], return_counts=True)
+        return self.probability(values), counts
+
+    def pooled(self, source: CellSource, factor: int) -> tuple[CellModel, Planes]:
+        """Blocks as one stored cell each: stored cells grow with their probability, so they are compared."""
+        cells = source.planes()[PLANE]
+        least, most = _ends(cells.dtype)
+        known = self.known(cells)
+        highest = pooled_extreme(np.maximum, np.where(known, cells, least), factor)
+        lowest = pooled_extreme(np.minimum, np.where(known, cells, most), factor)
+        blocks = np.where(self.encode(highest, trinary) == OCCUPIED, highest, lowest)
+        blocks[highest == least] = 0
+        return self, {PLANE: blocks}
 
 
 @lru_cache(maxsize=16)
@@ -178,11 +244,12 @@ def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
     return encoder(model.probability(every), model.known(every))
 
 
-def row_bands(cells: StoredCells) -> Iterator[slice]:
-    """Slices of rows, about 2^18 cells each: few enough to stay in the processor's cache."""
-    rows = max(1, _BAND_CELLS // max(1, cells[:1].size))
-    for first in range(0, len(cells), rows):
-        yield slice(first, first + rows)
+def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    """The ends of a type's range; the lower one is never stored."""
+    if dtype.kind == "f":
+        return dtype.type(-np.inf), dtype.type(np.inf)
+    limits = np.iinfo(dtype)
+    return dtype.type(limits.min), dtype.type(limits.max)
 
 
 def probability_of(log_odds: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

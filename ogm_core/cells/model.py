@@ -1,12 +1,150 @@
-"""What everything outside a cell model knows of one."""
+"""The cell model: what a cell keeps, how evidence changes it, and what it means, in one class.
 
-from collections.abc import Callable
-from typing import Any
+Layout, copies, snapshots, pictures, files and figures know cells by this alone: planes by name, of which a
+stored 0 says that nothing was ever written, and the probabilities that a model makes of a window of them.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 StoredCells = NDArray[Any]
-"""Cells as a model stores them, any shape; a stored 0 was never updated."""
-Encoder = Callable[[NDArray[np.float64], NDArray[np.bool_]], NDArray[Any]]
+"""Cells of a plane as a model stores them, any shape; a stored 0 was never updated."""
+Planes = Mapping[str, StoredCells]
+"""The planes of a rectangle of cells by name, each [iy, ix], row 0 south; of side 2, twice as many a side."""
+Probability = NDArray[np.float64]
+Known = NDArray[np.bool_]
+Encoder = Callable[[Probability, Known], NDArray[Any]]
 """From (probability, known) of cells to what is served of them, element by element."""
+
+MAX_MARGIN = 3
+P_EDGE = 1e-9
+"""Probabilities are clipped to [1e-9, 1 - 1e-9] before the logit is taken."""
+_BAND_CELLS = 2**18
+
+
+class Plane(NamedTuple):
+    """One array of numbers over the map: `side` x `side` of them a cell, 1 or 2."""
+
+    name: str
+    dtype: np.dtype[Any]
+    side: int = 1
+
+
+class CellSource(Protocol):
+    """The planes of a rectangle of cells that never change, and of what surrounds it."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+
+    def planes(self, rows: slice = ..., columns: slice = ..., margin: int = 0) -> Planes:
+        """The planes of some rows and columns, with so many cells more on every side; 0 beyond the map."""
+
+    def part(self, rows: slice, columns: slice) -> "CellSource":
+        """The rectangle of some rows and columns."""
+
+    def written(self, name: str) -> int:
+        """How many numbers of a plane are not 0, bit for bit."""
+
+    def value_counts(self, name: str) -> NDArray[np.int64]:
+        """How often each value but 0 occurs in a plane of 16 bits: shape (65536,), by its bits."""
+
+
+class CellEvidence(Protocol):
+    """What a placed scan says about which cells (ogm_core.sensor_models.evidence)."""
+
+    def update_cells(
+        self,
+        store: Any,  # noqa: ANN401 - a TileStore, which this room does not know
+        window: tuple[int, int, int, int],
+        revision: int,
+        plane: str,
+        constants: tuple[Any, ...],
+    ) -> int:
+        """Let `cells.updates` change every cell that the scan speaks of; return the number of updates."""
+
+
+class CellModel(ABC):
+    """What every model gives; a new one has to say its planes, its update and its probabilities."""
+
+    sensor_models: frozenset[str] = frozenset({"beam", "sector"})
+    """Whose evidence it takes."""
+    margin: int = 0
+    """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
+
+    @property
+    @abstractmethod
+    def planes(self) -> tuple[Plane, ...]:
+        """What a cell keeps."""
+
+    @property
+    @abstractmethod
+    def l0(self) -> float:
+        """Log odds of the prior."""
+
+    @abstractmethod
+    def update(
+        self,
+        evidence: Any,  # noqa: ANN401 - an Evidence
+        store: Any,  # noqa: ANN401 - a TileStore
+        window: tuple[int, int, int, int],
+        revision: int,
+    ) -> int:
+        """Add a scan's evidence to the planes of a tile store; return the number of cell updates.
+
+        `evidence` is of a kind that the model takes; `window` as `evidence.window` gives it: only cells in
+        it are updated. Tiles that are written are marked with `revision`.
+        """
+
+    @abstractmethod
+    def published(self, planes: Planes) -> tuple[Probability, Known]:
+        """Probability of "occupied" and whether ever updated, of a window of cells without its `margin`.
+
+        float64 and bool, [iy, ix]; the prior's probability where unknown.
+        """
+
+    def published_log_odds(self, planes: Planes) -> NDArray[np.float64]:
+        """Log odds of the same cells, the prior's where unknown."""
+        p = np.clip(self.published(planes)[0], P_EDGE, 1.0 - P_EDGE)
+        return np.log(p / (1.0 - p))
+
+    def encoded(self, planes: Planes, encoder: Encoder) -> NDArray[Any]:
+        """What an elementwise encoder makes of the same cells."""
+        return encoder(*self.published(planes))
+
+    def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
+        """What /map.npz holds of the cells: the planes as they are."""
+        return dict(source.planes())
+
+    def known_cells(self, source: CellSource) -> int:
+        """How many cells were ever updated."""
+        return sum(
+            int(np.count_nonzero(self.published(source.planes(rows, margin=self.margin))[1]))
+            for rows in row_bands(source.shape)
+        )
+
+    def levels(self, source: CellSource) -> tuple[Probability, NDArray[np.int64]]:
+        """Probabilities of the known cells, each once, and how many have it."""
+        parts = (self.published(source.planes(rows, margin=self.margin)) for rows in row_bands(source.shape))
+        values = np.concatenate([np.empty(0), *(p[known] for p, known in parts)])
+        return np.unique(values, return_counts=True)
+
+    def pooled(self, source: CellSource, factor: int) -> "tuple[CellModel, Planes]":
+        """Square blocks of `factor` x `factor` cells in place of cells, and the model that reads them.
+
+        A block is its likeliest cell if that one counts as occupied, else its least likely known cell.
+        """
+        from ogm_core.cells.published import pooled_probabilities
+
+        return pooled_probabilities(self, source, factor)
+
+
+def row_bands(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Slices of rows, about 2^18 cells each: few enough to stay in the processor's cache."""
+    rows = max(1, _BAND_CELLS // max(1, int(np.prod(shape[1:]))))
+    for first in range(0, shape[0], rows):
+        yield slice(first, first + rows)

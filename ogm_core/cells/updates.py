@@ -1,6 +1,8 @@
-"""What the kernels do to one stored cell, for either storage form (see log_odds).
+"""What the kernels do to one stored number of a plane: a beam `passed` its cell, or `ended` there.
 
-numba picks the form by the type of the cell; plain Python, by its class.
+numba picks the model's arithmetic by the dtype of the plane; plain Python, by the number's class. Kernels
+hand `constants` on without looking. A beam's `length` in the cell and the `weight` of a hit are there for
+models that want them; where they are ignored they cost nothing.
 """
 
 import math
@@ -10,53 +12,55 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from ogm_core.cells.log_odds import CellConstants
+
+def _passed_int16(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401 - one form a dtype
+    # Log odds. No known bit: a cell that was never updated becomes negative, till a hit sets the bit.
+    free, _, lower, _, _ = constants
+    return max(cell, lower - free) + free
 
 
-def _free_int16(cell: Any, constants: Any) -> Any:  # noqa: ANN401 - one form a storage type
-    # No known bit: a cell that was never updated becomes negative, and stays so till a hit sets the bit.
-    return max(cell, constants.lower - constants.free) + constants.free
+def _ended_int16(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401
+    _, occupied, _, upper, _ = constants
+    return (min(cell, upper - occupied) + occupied) | 1
 
 
-def _occupied_int16(cell: Any, constants: Any) -> Any:  # noqa: ANN401
-    return (min(cell, constants.upper - constants.occupied) + constants.occupied) | 1
-
-
-def _free_float64(cell: Any, constants: Any) -> Any:  # noqa: ANN401
+def _passed_float64(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401
+    free, _, lower, _, prior = constants
     if cell < 0.0:  # most cells: known, and an increment makes no zero of them
-        return max(cell + constants.free, constants.lower)
+        return max(cell + free, lower)
     if cell == 0.0 and math.copysign(1.0, cell) > 0.0:
-        cell = constants.prior
-    cell = max(cell + constants.free, constants.lower)
+        cell = prior
+    cell = max(cell + free, lower)
     return -0.0 if cell == 0.0 else cell
 
 
-def _occupied_float64(cell: Any, constants: Any) -> Any:  # noqa: ANN401
+def _ended_float64(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401
+    _, occupied, _, upper, prior = constants
     if cell == 0.0 and math.copysign(1.0, cell) > 0.0:
-        cell = constants.prior
-    cell = min(cell + constants.occupied, constants.upper)
+        cell = prior
+    cell = min(cell + occupied, upper)
     return -0.0 if cell == 0.0 else cell
 
 
-def add_free(cell: Any, constants: CellConstants) -> Any:  # noqa: ANN401
-    """Stored cell after one observation "free": l <- max(l + d_free, l_min), and known (log_odds)."""
-    return (
-        _free_float64(cell, constants) if isinstance(cell, np.floating) else _free_int16(int(cell), constants)
-    )
-
-
-def add_occupied(cell: Any, constants: CellConstants) -> Any:  # noqa: ANN401
-    """Stored cell after one observation "occupied": l <- min(l + d_occ, l_max), and known."""
+def passed(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401
+    """Stored number after a beam went through: of log odds, l <- max(l + d_free, l_min), and known."""
     if isinstance(cell, np.floating):
-        return _occupied_float64(cell, constants)
-    return _occupied_int16(int(cell), constants)
+        return _passed_float64(cell, length, constants)
+    return _passed_int16(int(cell), length, constants)
 
 
-@overload(add_free)
-def _add_free(cell: Any, constants: Any) -> Any:  # noqa: ANN401 - numba types
-    return _free_float64 if isinstance(cell, types.Float) else _free_int16
+def ended(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401
+    """Stored number after a beam's hit in its cell: of log odds, l <- min(l + d_occ, l_max), and known."""
+    if isinstance(cell, np.floating):
+        return _ended_float64(cell, weight, constants)
+    return _ended_int16(int(cell), weight, constants)
 
 
-@overload(add_occupied)
-def _add_occupied(cell: Any, constants: Any) -> Any:  # noqa: ANN401 - numba types
-    return _occupied_float64 if isinstance(cell, types.Float) else _occupied_int16
+@overload(passed)
+def _passed(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401 - numba types
+    return _passed_float64 if isinstance(cell, types.Float) else _passed_int16
+
+
+@overload(ended)
+def _ended(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401 - numba types
+    return _ended_float64 if isinstance(cell, types.Float) else _ended_int16

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import Known, Probability, percent, probability_grey, ros_grey, trinary
-from ogm_core.cells.log_odds import row_bands
-from ogm_core.cells.model import Encoder
+from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
+from ogm_core.cells.model import Encoder, Known, Probability
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_core.pictures.png import write_png
@@ -45,11 +44,7 @@ def encode_png(snap: MapSnapshot, palette: str = "ros") -> bytes:
         MapEmpty: there is nothing to draw.
         BadParameter: no such palette.
     """
-    if isinstance(snap.stored, np.ndarray):
-        return write_png(_picture(snap, palette))
-    encoder = _chosen(PALETTES, "palette", palette)
-    _check_not_empty(snap)
-    return snap.stored.png(snap.model, encoder)
+    return write_png(_picture(snap, palette))
 
 
 def encode_pgm(snap: MapSnapshot, palette: str = "ros") -> bytes:
@@ -81,19 +76,20 @@ def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> by
     Raises:
         BadParameter: no such values.
     """
-    entries = snap.model.encode(snap.cells, _chosen(_VALUES, "values", values))
+    entries = snap.encode(_chosen(_VALUES, "values", values))
     head = json.dumps({"map": map_name, "frame": FRAME, **snap.meta()})
     data = entries.reshape(-1).view(np.uint8).data
     return b"".join((head[:-1].encode(), b', "data": [', data[:-1], b"]}"))  # without the last comma
 
 
 def encode_npz(snap: MapSnapshot) -> bytes:
-    """NumPy archive, equal bytes for equal maps: `log_odds`, `resolution`, `origin`, `offset`, `anchor`.
+    """NumPy archive, equal bytes for equal maps: the cells, `resolution`, `origin`, `offset`, `anchor`.
 
-    `log_odds` is [iy, ix], row 0 south, NaN where unknown; float64 of float64 cells, else float32.
+    What is there of the cells, [iy, ix], row 0 south, is the cell model's `arrays`: of log odds, `log_odds`,
+    NaN where unknown, float64 of float64 cells, else float32.
     """
     arrays = {
-        "log_odds": log_odds_of(snap),
+        **snap.model.arrays(snap.stored),
         "resolution": np.array(snap.resolution),
         "origin": np.array(snap.origin),
         "offset": np.array(snap.offset, np.int64),
@@ -106,16 +102,6 @@ def encode_npz(snap: MapSnapshot) -> bytes:
             with archive.open(f"{name}.npy", "w", force_zip64=array.nbytes >= 2**31) as member:
                 npy.write_array(member, array, allow_pickle=False)
     return file.getvalue()
-
-
-def log_odds_of(snap: MapSnapshot) -> NDArray[np.floating[Any]]:
-    """Log odds [iy, ix], row 0 south, NaN where unknown; float64 of float64 cells, else float32."""
-    exact = snap.cells.dtype == np.float64
-    served = np.empty(snap.cells.shape, np.float64 if exact else np.float32)
-    for band in row_bands(snap.cells):
-        cells = snap.cells[band]
-        served[band] = np.where(snap.model.known(cells), snap.model.log_odds(cells), np.nan)
-    return served
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +147,7 @@ def _picture(snap: MapSnapshot, palette: str) -> NDArray[np.uint8]:
     """Greys, row 0 at the top, north."""
     encoder = _chosen(PALETTES, "palette", palette)
     _check_not_empty(snap)
-    return snap.model.encode(snap.cells, encoder)[::-1]
+    return snap.encode(encoder)[::-1]
 
 
 def _check_not_empty(snap: MapSnapshot) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.log_odds import PLANE
 from ogm_core.lattice import CellRect
 from ogm_core.pictures.deflate import LONGEST_RUN, RunCode, code_for
 from ogm_core.pictures.png import png_of
@@ -108,7 +109,7 @@ class MapPicture:
         numbers = tiles.numbers[tiles.numbers > 0]
         counts = np.zeros((256, LONGEST_RUN + 1), np.int64)
         for block, _, rows in tiles.find(numbers[:: max(1, len(numbers) // _SAMPLE)]):
-            counts += count_runs(block[rows], self._greys)
+            counts += count_runs(block[PLANE][rows], self._greys)
         counts[np.unique(self._greys), 1] += 1
         # Tiles that were never written, and the filter bytes.
         counts[self._greys[0], LONGEST_RUN] += np.count_nonzero(tiles.numbers == 0)
@@ -120,7 +121,7 @@ class MapPicture:
         slots = self._slots[changed]
         for block, here, rows in tiles.find(tiles.numbers[changed]):
             done, self._used = code_tiles(
-                block,
+                block[PLANE],
                 rows.astype(np.uint64),
                 slots[here],
                 self._greys,

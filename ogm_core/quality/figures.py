@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
-from ogm_core.cells.log_odds import row_bands
+from ogm_core.cells.model import row_bands
 from ogm_core.grid_settings import GridSettings
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import beams
@@ -26,7 +26,7 @@ def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
 
     H = -sum(p log2 p + (1 - p) log2(1 - p)). Free and occupied are those of the trinary map.
     """
-    values, counts = _known_probabilities(snapshot)
+    values, counts = snapshot.model.levels(snapshot.stored)
     known = int(counts.sum())
     entropy = float((counts * _entropy(values)).sum())
     cell = snapshot.lattice.resolution**2
@@ -55,7 +55,7 @@ class Consistency:
     def __init__(self, snapshot: MapSnapshot, settings: GridSettings) -> None:
         self._settings = settings
         self._snapshot = snapshot
-        self._beliefs = snapshot.model.encode(snapshot.cells, _side_of_half)
+        self._beliefs = snapshot.encode(_side_of_half)
         self._dropping = settings.bounds_rect if settings.outside == "drop" else None
         """The bounds, if beams that leave them are not in the map."""
         self._counts = np.zeros(4, np.int64)
@@ -99,22 +99,6 @@ def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[Plac
     }
 
 
-def _known_probabilities(snapshot: MapSnapshot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Every probability of the known cells once, and how many have it."""
-    if snapshot.model.dtype != np.int16:
-        cells = snapshot.cells
-        values, counts = np.unique(cells[snapshot.model.known(cells)], return_counts=True)
-        return snapshot.model.probability(values), counts
-    values = np.arange(2**16, dtype=np.uint16).view(np.int16)
-    if not isinstance(snapshot.stored, np.ndarray):
-        return snapshot.model.probability(values), snapshot.stored.value_counts()
-    counts = np.zeros(2**16, np.int64)
-    for band in row_bands(snapshot.stored):
-        counts += np.bincount(snapshot.stored[band].view(np.uint16).ravel(), minlength=2**16)
-    counts[0] = 0
-    return snapshot.model.probability(values), counts
-
-
 def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
     q = 1.0 - p
     # The limit of p log p is 0, where the logarithm has none.
@@ -131,9 +115,9 @@ def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[n
 
 
 def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
-    beliefs = np.full(snapshot.cells.shape, agreement.BELIEF_UNDECIDED, np.uint8)
-    for band in row_bands(beliefs):
-        evidence = snapshot.model.log_odds(snapshot.cells[band]) - snapshot.model.l0
+    beliefs = np.full((snapshot.height, snapshot.width), agreement.BELIEF_UNDECIDED, np.uint8)
+    for band in row_bands(beliefs.shape):
+        evidence = snapshot.log_odds(band) - snapshot.model.l0
         beliefs[band][evidence > DECIDED] = agreement.BELIEF_OCCUPIED
         beliefs[band][evidence < -DECIDED] = agreement.BELIEF_FREE
     return beliefs

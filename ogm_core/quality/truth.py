@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import OCCUPIED_ABOVE
-from ogm_core.cells.log_odds import P_EDGE, row_bands
+from ogm_core.cells.model import P_EDGE, row_bands
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
@@ -78,13 +78,11 @@ def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
 def _agreement(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, float]:
     """Known cells, how many of them are on the true side of one half, and their summed log loss."""
     known, right, loss = 0, 0, 0.0
-    encode = snapshot.model.encode
-    for band in row_bands(snapshot.cells):
-        cells, true = snapshot.cells[band], truth[band]
-        judged = snapshot.model.known(cells)
+    for band in row_bands((snapshot.height, snapshot.width)):
+        true, (p, judged) = truth[band], snapshot.published(band)
         known += int(np.count_nonzero(judged))
-        right += int(np.count_nonzero(judged & (encode(cells, _above_half) == true)))
-        losses = np.where(true, encode(cells, _loss_if_occupied), encode(cells, _loss_if_free))
+        right += int(np.count_nonzero(judged & ((p > 0.5) == true)))
+        losses = np.where(true, _loss_if_occupied(p), _loss_if_free(p))
         loss += float(losses.sum(where=judged))
     return known, right, loss
 
@@ -94,14 +92,14 @@ def _matches(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, int, int]:
 
     `truth` reaches one cell beyond the map on every side.
     """
-    beliefs = np.pad(snapshot.model.encode(snapshot.cells, _belief), 2)
+    beliefs = np.pad(snapshot.encode(_belief), 2)
     occupied = found = looked_at = seen = 0
-    for band in row_bands(truth):
+    for band in row_bands(truth.shape):
         around = slice(band.start, band.stop + 2)
         near = _gathered(beliefs[around])[truth[band]]
         looked_at += int(np.count_nonzero(near))
         seen += int(np.count_nonzero(near & _OCCUPIED))
-    for band in row_bands(snapshot.cells):
+    for band in row_bands((snapshot.height, snapshot.width)):
         near_truth = _gathered(truth[band.start : band.stop + 2])
         mine = beliefs[2:-2, 2:-2][band] & _OCCUPIED != 0
         occupied += int(np.count_nonzero(mine))
@@ -120,19 +118,15 @@ def _share(part: float, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _above_half(p: Floats, _: Bools) -> Bools:
-    return p > 0.5
-
-
 def _belief(p: Floats, known: Bools) -> NDArray[np.uint8]:
     return np.where(known, np.where(p > OCCUPIED_ABOVE, _KNOWN | _OCCUPIED, _KNOWN), 0).astype(np.uint8)
 
 
-def _loss_if_occupied(p: Floats, _: Bools) -> Floats:
+def _loss_if_occupied(p: Floats) -> Floats:
     return -np.log(np.clip(p, P_EDGE, 1.0 - P_EDGE))
 
 
-def _loss_if_free(p: Floats, _: Bools) -> Floats:
+def _loss_if_free(p: Floats) -> Floats:
     return -np.log1p(-np.clip(p, P_EDGE, 1.0 - P_EDGE))
 
 

@@ -12,7 +12,7 @@ no s(k) is nearer than 1 / (2 M) to the next integer without being one. Shifts a
 cell, and k need not begin at 1, so a beam that is clipped at a map's bounds costs only the cells inside.
 
 Cells are addressed as in tiles.store: address(i, j) = column[i] + 64 j. `ends` is that of
-projection.Beams; `window` and `constants` are the contents of a CellRect and of CellConstants.
+projection.Beams; `window` is the contents of a CellRect, `constants` what cells.updates need.
 """
 
 from typing import Any
@@ -21,8 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import CellConstants
-from ogm_core.cells.updates import add_free, add_occupied
+from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.tiles.marks import touch, touch_rows
@@ -219,7 +218,7 @@ def update_cells(
     added. A line is cut at the edges of the strips: within one, where j is the major axis, the address of its
     cells is a fixed-point number itself, and one addition a cell is enough.
     """
-    window, constants = CellRect(*window), CellConstants(*constants)
+    window = CellRect(*window)
     updates = fresh = 0
     for b in range(ends.shape[1]):
         if ends[KIND, b] == SKIPPED:
@@ -247,7 +246,7 @@ def update_cells(
                     acc += gain
                     base += si
                     address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
-                    cells[address] = add_free(cells[address], constants)
+                    cells[address] = passed(cells[address], 1.0, constants)
                 fresh += touch(touched, i, j0 + (acc >> FRACTION_BITS), revision)
                 k = end + 1
         else:
@@ -265,10 +264,10 @@ def update_cells(
                 for _ in range(end - k + 1):
                     acc += gain
                     address = np.uint64(base + (acc >> FRACTION_BITS))
-                    cells[address] = add_free(cells[address], constants)
+                    cells[address] = passed(cells[address], 1.0, constants)
                 k = end + 1
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
-            cells[address] = add_occupied(cells[address], constants)
+            cells[address] = ended(cells[address], 1.0, constants)
             fresh += touch(touched, i1, j1, revision)
     return updates, fresh

@@ -23,8 +23,8 @@ fraction takes all the bits that the beam's rise leaves; a rise of one row, whic
 have, is placed by one division instead. For M columns that place is then right to M^2 / 2^60 cells, less
 than 1e-6 for every M below 2^20.
 
-`ends` and `lines` are those of projection.Beams, `window` and `constants` the contents of a
-CellRect and of CellConstants; cells are addressed as in tiles.store.
+`ends` and `lines` are those of projection.Beams, `window` is the contents of a CellRect, `constants`
+what cells.updates need; cells are addressed as in tiles.store.
 """
 
 import math
@@ -34,8 +34,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import CellConstants
-from ogm_core.cells.updates import add_free, add_occupied
+from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.sensor_models.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
@@ -238,7 +237,7 @@ def update_cells(
     address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare numba's check
     for negative indices.
     """
-    window, constants = CellRect(*window), CellConstants(*constants)
+    window = CellRect(*window)
     updates = fresh = 0
     for b in range(ends.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(ends, lines, b, window)
@@ -261,11 +260,11 @@ def update_cells(
                 acc += step
                 base += ahead
                 address = np.uint64(base + (acc >> bits) * climb)
-                cells[address] = add_free(cells[address], constants)
+                cells[address] = passed(cells[address], 1.0, constants)
             t = end + 1
         if hit_inside:
             i, j = ends[IX, b] - window.ix, ends[IY, b] - window.iy
             address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
-            cells[address] = add_occupied(cells[address], constants)
+            cells[address] = ended(cells[address], 1.0, constants)
             fresh += touch(touched, i, j, revision)
     return updates, fresh

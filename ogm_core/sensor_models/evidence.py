@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import CellConstants
 from ogm_core.errors import BadParameter, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
 from ogm_core.sensor_models.area_outline import Rays, fan_of, turned
+from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.projection import beam_model, project, read_only
 from ogm_core.tiles.store import TileStore
 from ogm_core.types import PlacedScan
@@ -52,12 +52,22 @@ class Evidence:
         """How many tiles `update_cells` would write that were never written before."""
         return int(self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched.copy(), 1))
 
+    def touch(self, store: TileStore, window: CellRect, revision: int) -> None:
+        """Mark every tile that `update_cells` would write with `revision`."""
+        store.tiles_used += int(
+            self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched, revision)
+        )
+
     def update_cells(
-        self, store: TileStore, window: CellRect, revision: int, constants: CellConstants
+        self, store: TileStore, window: CellRect, revision: int, plane: str, constants: Plain
     ) -> int:
-        """Update the cells that lie in the window, at `revision`; return the number of cell updates."""
+        """Let `cells.updates` change the cells of a plane that lie in the window, and mark their tiles.
+
+        Which of its updates that is, the plane's dtype says; `constants` are theirs. Returns how many.
+        """
+        stored = store.planes[plane]
         updates, fresh = self.kernels.update_cells(
-            *self.arrays, tuple(window), store.touched, revision, store.cells, store.column, tuple(constants)
+            *self.arrays, tuple(window), store.touched, revision, stored.cells, stored.column, constants
         )
         store.tiles_used += fresh
         return int(updates)

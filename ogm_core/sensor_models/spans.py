@@ -1,14 +1,10 @@
 """Cells of one class side by side in a row, and what the kernels do with them.
 
 Spans are int32, shape (n, 4): row, first column, column after the last, class; no cell is in two of them.
-`window` and `constants` are the contents of a CellRect and of CellConstants.
+`window` is the contents of a CellRect, `constants` what cells.updates need.
 
-Cells are addressed as in tiles.store: in a strip the 64 cells of a row are a block of memory. An int16
-block is always updated whole, a few instructions for 64 cells, and a mask keeps what lies outside the span:
-
-    column     0 . . . . first . . . . last . . . . 63
-    begun      0 0 0 0 0 1 1 1 1 1 1 1 1  1 1 1 1 1 1        64 zeros, 64 ones, read from 64 - first on
-    not ended  1 1 1 1 1 1 1 1 1 1 1 1 1  0 0 0 0 0 0        64 ones, 64 zeros, read from 63 - last on
+Cells are addressed as in tiles.store: in a strip the 64 cells of a row are a block of memory, and planes that
+cells.blocks knows are updated a block at a time.
 """
 
 from typing import Any
@@ -17,8 +13,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import CellConstants
-from ogm_core.cells.updates import add_free, add_occupied
+from ogm_core.cells.blocks import (
+    BLOCK_TYPES,
+    block_limits,
+    ended_in_part,
+    part_masks,
+    passed_block,
+    passed_part,
+)
+from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.tiles.marks import touch
@@ -89,7 +92,7 @@ def update_cells(
     Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
     the store of `cells` and `touched` begins in its corner.
     """
-    kernel = update_blocks if cells.dtype == np.int16 else update_one_by_one
+    kernel = update_blocks if cells.dtype in BLOCK_TYPES else update_one_by_one
     updates, fresh = kernel(spans, window, touched, revision, cells, column, constants)
     return updates, fresh
 
@@ -106,7 +109,7 @@ def update_one_by_one(
 ) -> tuple[int, int]:
     """`update_cells` for any type of cells."""
     fresh = touch_tiles(spans, window, touched, revision)
-    window, constants = CellRect(*window), CellConstants(*constants)
+    window = CellRect(*window)
     updates = 0
     for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
@@ -114,9 +117,9 @@ def update_one_by_one(
         for i in range(first, end):
             address = np.uint64(column[i] + (j << TILE_BITS))
             if spans[n, 3] == SPAN_FREE:
-                cells[address] = add_free(cells[address], constants)
+                cells[address] = passed(cells[address], 1.0, constants)
             else:
-                cells[address] = add_occupied(cells[address], constants)
+                cells[address] = ended(cells[address], 1.0, constants)
     return updates, fresh
 
 
@@ -130,32 +133,23 @@ def update_blocks(
     column: NDArray[np.int64],
     constants: Plain,
 ) -> tuple[int, int]:
-    """`update_cells` for int16: what cells.updates does to one cell, done to 64 at once."""
+    """`update_cells` for planes that cells.blocks knows: a row of a tile at once."""
     fresh = touch_tiles(spans, window, touched, revision)
-    window, constants = CellRect(*window), CellConstants(*constants)
-    floor, less = np.int16(constants.lower - constants.free), np.int16(constants.free)
-    ceiling, more = np.int16(constants.upper - constants.occupied), np.int16(constants.occupied)
-    inside = np.full((2, 2 * TILE), -1, np.int16)
-    inside[0, :TILE] = 0
-    inside[1, TILE:] = 0
+    window = CellRect(*window)
+    limits, masks = block_limits(constants), part_masks()
     updates = 0
     for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         updates += end - first
         while first < end:
             last = min(end - 1, first | (TILE - 1))
-            block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - (first & (TILE - 1)))
-            left, right = np.uint64(TILE - (first & (TILE - 1))), np.uint64(TILE - 1 - (last & (TILE - 1)))
+            begin, until = first & (TILE - 1), last & (TILE - 1)
+            block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - begin)
             if spans[n, 3] != SPAN_FREE:
-                for q in range(np.uint64(TILE)):
-                    cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
-                    cells[block + q] = cell ^ ((((min(cell, ceiling) + more) | 1) ^ cell) & mask)
-            elif last - first == TILE - 1:
-                for q in range(np.uint64(TILE)):
-                    cells[block + q] = max(cells[block + q], floor) + less
+                ended_in_part(cells, block, begin, until, masks, limits)
+            elif until - begin == TILE - 1:
+                passed_block(cells, block, limits)
             else:
-                for q in range(np.uint64(TILE)):
-                    cell, mask = cells[block + q], inside[0, left + q] & inside[1, right + q]
-                    cells[block + q] = cell + ((max(cell, floor) - cell + less) & mask)
+                passed_part(cells, block, begin, until, masks, limits)
             first = last + 1
     return updates, fresh

@@ -11,6 +11,7 @@ A block of which less than half is still in use is given up, and what is left of
 all blocks of a copy take twice the tiles' memory at most.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,19 +21,27 @@ from numpy.typing import NDArray
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE, TileStore
 
+Tiles = Mapping[str, NDArray[Any]]
+"""Stored cells of n tiles by plane: shape (n, cells of a tile), row after row."""
+
 
 class Block(NamedTuple):
-    """Tiles with the numbers `first`, `first` + 1 and so on: stored cells, shape (n, 4096), row after row."""
+    """Tiles with the numbers `first`, `first` + 1 and so on."""
 
     first: int
-    tiles: NDArray[Any]
+    planes: Tiles
     used: int
     """How many of them are in the copy's table."""
 
     @property
+    def size(self) -> int:
+        """How many tiles it has."""
+        return len(next(iter(self.planes.values())))
+
+    @property
     def end(self) -> int:
         """The number after its last tile's."""
-        return self.first + len(self.tiles)
+        return self.first + self.size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +61,7 @@ class TileCopies:
         """`numbers` of the tiles of `rect`, which holds this one's; those of the others are 0."""
         return placed(self.numbers, self.rect, rect)
 
-    def find(
-        self, numbers: NDArray[np.int64]
-    ) -> list[tuple[NDArray[Any], NDArray[np.intp], NDArray[np.int64]]]:
+    def find(self, numbers: NDArray[np.int64]) -> list[tuple[Tiles, NDArray[np.intp], NDArray[np.int64]]]:
         """Where tiles of these numbers, none of them 0, lie.
 
         For each block: its tiles, which of `numbers` are there, and in which of its rows.
@@ -64,22 +71,25 @@ class TileCopies:
         for index in np.unique(of_block).tolist():
             here = np.flatnonzero(of_block == index)
             block = self.blocks[index]
-            found.append((block.tiles, here, numbers[here] - block.first))
+            found.append((block.planes, here, numbers[here] - block.first))
         return found
 
 
-def room_for(store: TileStore, before: TileCopies | None) -> NDArray[Any]:
-    """Memory for the tiles that `copy_tiles` would copy now, and some more, shape (n, 4096).
+def room_for(store: TileStore, before: TileCopies | None) -> Tiles:
+    """Memory for the tiles that `copy_tiles` would copy now, and some more.
 
     It is there when it returns: copying into new memory takes many times longer than copying. Another thread
     may write the store meanwhile, since the number is a guess.
     """
     stale = int(np.count_nonzero(_to_copy(store, before)[2]))
-    return np.full((stale + stale // 8 + 16, TILE * TILE), 0, store.cells.dtype)
+    return {
+        name: np.full((stale + stale // 8 + 16, plane.tile_cells), 0, plane.cells.dtype)
+        for name, plane in store.planes.items()
+    }
 
 
 def copy_tiles(
-    store: TileStore, revision: int, before: TileCopies | None = None, room: NDArray[Any] | None = None
+    store: TileStore, revision: int, before: TileCopies | None = None, room: Tiles | None = None
 ) -> TileCopies:
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
 
@@ -89,15 +99,19 @@ def copy_tiles(
     numbers, blocks, stale = _to_copy(store, before)
     first = 1 if before is None else before.next_number
     which = np.flatnonzero(stale)
-    if room is None or len(room) < len(which) or room.dtype != store.cells.dtype:
-        room = np.empty((len(which), TILE * TILE), store.cells.dtype)
-    tiles = room[: len(which)]
-    np.take(store.cells.reshape(-1, TILE * TILE), which, axis=0, out=tiles, mode="clip")
+    planes = {}
+    for name, plane in store.planes.items():
+        given = None if room is None else room.get(name)
+        if given is None or len(given) < len(which) or given.dtype != plane.cells.dtype:
+            given = np.empty((len(which), plane.tile_cells), plane.cells.dtype)
+        tiles = given[: len(which)]
+        np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
+        tiles.flags.writeable = False
+        planes[name] = tiles
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
+    numbers.flags.writeable = False
     if len(which):
-        blocks = (*blocks, Block(first, tiles, len(which)))
-    for part in (numbers, tiles):
-        part.flags.writeable = False
+        blocks = (*blocks, Block(first, planes, len(which)))
     return TileCopies(store.rect, numbers, blocks, revision, first + len(which))
 
 
@@ -125,7 +139,7 @@ def _kept(
     kept = []
     for block, loss in zip(blocks, lost.tolist(), strict=True):
         used = block.used - loss
-        if 2 * used >= len(block.tiles):
+        if 2 * used >= block.size:
             kept.append(block._replace(used=used))
         elif used:
             stale |= (numbers >= block.first) & (numbers < block.end)

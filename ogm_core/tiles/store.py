@@ -8,16 +8,21 @@
     +--------+     +--------+           cell, and every 64 x 64 tile is one contiguous block.
 
 The memory is a private anonymous mapping: the system gives zeroed pages when they are first written, so a
-stored 0 ("never updated", see cells.log_odds) costs nothing until a beam comes by.
+stored 0 ("never updated", see cells.model) costs nothing until a beam comes by.
+
+A map has one such memory a plane of its cell model. A plane twice as fine has 128 of its cells where the
+others have 64, and its `column` counts in its own.
 """
 
 import contextlib
 import mmap
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.model import Plane
 from ogm_core.errors import LimitReached
 from ogm_core.lattice import CellRect
 
@@ -30,10 +35,28 @@ _FIRST_ROOM = 4096
 _SMALL_PART = 100
 
 
-class TileStore:
-    """Cells of a rectangle of whole tiles, all unknown at first. Owned by the map's one writer."""
+class StoredPlane(NamedTuple):
+    """A plane in memory: its cells, tile after tile in strips, and the address of each column's foot."""
 
-    def __init__(self, rect: CellRect, dtype: np.dtype[Any]) -> None:
+    cells: NDArray[Any]
+    column: NDArray[np.int64]
+    side: int
+    """How many of its cells lie along a side of a cell of the map, 1 or 2."""
+
+    @property
+    def tile_cells(self) -> int:
+        """How many of its cells are in a tile."""
+        return _TILE_CELLS * self.side**2
+
+    def tiles(self, shape: tuple[int, ...]) -> NDArray[Any]:
+        """Its cells, shape (tiles in x, tiles in y, cells of a tile), for a store of that many tiles."""
+        return self.cells.reshape(*shape, self.tile_cells)
+
+
+class TileStore:
+    """The planes of a rectangle of whole tiles, all unknown at first. Owned by the map's one writer."""
+
+    def __init__(self, rect: CellRect, planes: tuple[Plane, ...]) -> None:
         """Reserve room for every cell of `rect`, rounded outward to tiles.
 
         Raises:
@@ -41,25 +64,57 @@ class TileStore:
         """
         tx, ty = rect.ix // TILE, rect.iy // TILE
         shape = -(-(rect.ix + rect.width) // TILE) - tx, -(-(rect.iy + rect.height) // TILE) - ty
+        self.kinds = planes
         self.rect = CellRect(tx * TILE, ty * TILE, shape[0] * TILE, shape[1] * TILE)
-        strip_cells = shape[1] * _TILE_CELLS
-        self._memory = _untouched(shape[0] * strip_cells * dtype.itemsize)
-        self.cells: NDArray[Any] = np.frombuffer(self._memory, dtype, shape[0] * strip_cells)
-        columns = np.arange(self.rect.width)
-        self.column: NDArray[np.int64] = (columns // TILE) * strip_cells + columns % TILE
+        self._memory: dict[str, mmap.mmap] = {}
+        self.planes: Mapping[str, StoredPlane] = {plane.name: self._reserve(plane, shape) for plane in planes}
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.tiles_used = 0
 
+    def _reserve(self, plane: Plane, shape: tuple[int, int]) -> StoredPlane:
+        width = TILE * plane.side
+        strip_cells = shape[1] * width * width
+        memory = _untouched(shape[0] * strip_cells * plane.dtype.itemsize)
+        self._memory[plane.name] = memory
+        columns = np.arange(shape[0] * width)
+        return StoredPlane(
+            np.frombuffer(memory, plane.dtype, shape[0] * strip_cells),
+            (columns // width) * strip_cells + columns % width,
+            plane.side,
+        )
+
     @property
     def tile_bytes(self) -> int:
-        """Memory of one tile."""
-        return _TILE_CELLS * self.cells.itemsize
+        """Memory of one tile, all planes together."""
+        return sum(plane.tile_cells * plane.cells.itemsize for plane in self.planes.values())
 
     @property
     def nbytes(self) -> int:
         """Memory of the tiles that were ever written, and of the tables."""
-        return self.tiles_used * self.tile_bytes + self.column.nbytes + self.touched.nbytes
+        tables = sum(plane.column.nbytes for plane in self.planes.values()) + self.touched.nbytes
+        return self.tiles_used * self.tile_bytes + tables
+
+    def admitting(
+        self, updated: CellRect, new_tiles: Callable[["TileStore"], int], max_bytes: int
+    ) -> "TileStore":
+        """This store, or a larger one in its place, with room for what a scan writes into `updated`.
+
+        `new_tiles` counts those that it would write that were never written: it is asked only where a cheap
+        bound does not do. A larger store holds this one's cells, and this one is spent.
+
+        Raises:
+            LimitReached: it would hold more than `max_bytes`; no cell has changed.
+        """
+        store = self if self.rect.contains(updated) else self.grown(updated, max_bytes)
+        room = (max_bytes - store.nbytes) // store.tile_bytes
+        if tiles_met(updated) > room and store.untouched_tiles(updated) > room:
+            fresh = new_tiles(store)
+            if fresh > room:
+                raise LimitReached(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")
+        if store is not self:
+            store.take(self)
+        return store
 
     def grown(self, rect: CellRect, max_bytes: int = 0) -> "TileStore":
         """A store that also covers `rect`, with room to spare where it grew; its cells follow by `take`.
@@ -79,8 +134,8 @@ class TileStore:
             )
             if _table_bytes(roomy) * _SMALL_PART < max_bytes:
                 with contextlib.suppress(LimitReached):  # no address space for that much
-                    return TileStore(roomy, self.cells.dtype)
-            return TileStore(rect, self.cells.dtype)
+                    return TileStore(roomy, self.kinds)
+            return TileStore(rect, self.kinds)
         west = self.rect.width // 2 if rect.ix < self.rect.ix else 0
         south = self.rect.height // 2 if rect.iy < self.rect.iy else 0
         wanted = self.rect.union(rect)
@@ -89,7 +144,7 @@ class TileStore:
         roomy = CellRect(
             wanted.ix - west, wanted.iy - south, wanted.width + west + east, wanted.height + south + north
         )
-        store = TileStore(roomy, self.cells.dtype)
+        store = TileStore(roomy, self.kinds)
         dx, dy = store._tile_of(self)
         width, height = self.touched.shape
         store.touched[dx : dx + width, dy : dy + height] = self.touched
@@ -102,38 +157,45 @@ class TileStore:
         `other` is given back to the system strip by strip, so that growing takes no second map's memory.
         """
         dx, dy = self._tile_of(other)
-        source = other.cells.reshape(*other.touched.shape, _TILE_CELLS)
-        target = self.cells.reshape(*self.touched.shape, _TILE_CELLS)
-        for tx in range(other.touched.shape[0]):
-            for ty in np.flatnonzero(other.touched[tx]):
-                target[tx + dx, ty + dy] = source[tx, ty]
-            other.forget_strip(tx)
+        written = [np.flatnonzero(strip) for strip in other.touched]
+        for name, plane in self.planes.items():
+            source, target = other.planes[name].tiles(other.touched.shape), plane.tiles(self.touched.shape)
+            for tx, rows in enumerate(written):
+                for ty in rows:
+                    target[tx + dx, ty + dy] = source[tx, ty]
+                other.forget_strip(name, tx)
 
-    def forget_strip(self, tx: int) -> None:
-        """Give the memory of strip number `tx` back to the system; its cells read 0 from then on."""
-        size = self.touched.shape[1] * self.tile_bytes
+    def forget_strip(self, name: str, tx: int) -> None:
+        """Give the memory of a plane's strip number `tx` back to the system; its cells then read 0."""
+        plane = self.planes[name]
+        size = self.touched.shape[1] * plane.tile_cells * plane.cells.itemsize
         if hasattr(mmap, "MADV_DONTNEED") and (tx * size) % mmap.PAGESIZE == 0:
-            self._memory.madvise(mmap.MADV_DONTNEED, tx * size, size)
+            self._memory[name].madvise(mmap.MADV_DONTNEED, tx * size, size)
 
-    def write(self, rect: CellRect, dense: NDArray[Any]) -> None:
-        """Put the cells of `rect`, which lies inside, in place: shape (height, width), [iy, ix].
+    def write(self, rect: CellRect, planes: Mapping[str, NDArray[Any]]) -> None:
+        """Put the cells of `rect`, which lies inside, in place: each plane's [iy, ix].
 
-        Only tiles in which a cell is not 0 are written; their revision is that of a first scan.
+        Only tiles in which a number is not 0 are written; their revision is that of a first scan.
         """
         left, bottom = rect.ix - self.rect.ix, rect.iy - self.rect.iy
-        tiles = self.cells.reshape(*self.touched.shape, TILE, TILE)
         for tx, ty in np.ndindex(*self.touched.shape):
             west, south = max(left, tx * TILE), max(bottom, ty * TILE)
             east = min(left + rect.width, (tx + 1) * TILE)
             north = min(bottom + rect.height, (ty + 1) * TILE)
             if west >= east or south >= north:
                 continue
-            part = dense[south - bottom : north - bottom, west - left : east - left]
-            if not part.view(f"i{part.itemsize}").any():
-                continue
-            tiles[tx, ty, south - ty * TILE : north - ty * TILE, west - tx * TILE : east - tx * TILE] = part
-            self.tiles_used += int(self.touched[tx, ty] == 0)
-            self.touched[tx, ty] = 1
+            for name, plane in self.planes.items():
+                n = plane.side
+                part = planes[name][
+                    (south - bottom) * n : (north - bottom) * n, (west - left) * n : (east - left) * n
+                ]
+                if not part.view(f"i{part.itemsize}").any():
+                    continue
+                tile = plane.tiles(self.touched.shape)[tx, ty].reshape(TILE * n, TILE * n)
+                rows = slice((south - ty * TILE) * n, (north - ty * TILE) * n)
+                tile[rows, (west - tx * TILE) * n : (east - tx * TILE) * n] = part
+                self.tiles_used += int(self.touched[tx, ty] == 0)
+                self.touched[tx, ty] = 1
 
     def _tile_of(self, other: "TileStore") -> tuple[int, int]:
         """Tile of this store that holds the lower-left cell of `other`."""

@@ -1,97 +1,113 @@
-"""The cells of a map's snapshot, as copies of tiles: laid out only where somebody asks for them."""
+"""Cells of a map's snapshot, as copies of tiles: laid out only where somebody asks for them."""
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ogm_core.cells.log_odds import LogOdds
-from ogm_core.cells.model import Encoder, StoredCells
+from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.model import CellSource, Plane, Planes, StoredCells
 from ogm_core.lattice import CellRect
-from ogm_core.pictures.map_picture import MapPicture
-from ogm_core.pictures.png import write_png
 from ogm_core.tiles.copies import TileCopies
 from ogm_core.tiles.store import TILE
 
-Pictures = dict[Encoder, MapPicture]
-"""The pictures of a map that have been asked for, by palette; all its snapshots share them."""
+_ALL = slice(None)
 
 
 class TileView:
-    """Stored cells of a rectangle, [iy, ix], row 0 south (an `ogm_core.snapshot.CellSource`). Any thread."""
+    """The planes of a rectangle of cells (a `cells.model.CellSource`). Any thread."""
 
-    def __init__(self, tiles: TileCopies, rect: CellRect, dtype: np.dtype[Any], pictures: Pictures) -> None:
-        """Cells of `rect`, which lies in `tiles`."""
+    def __init__(
+        self, tiles: TileCopies, rect: CellRect, planes: tuple[Plane, ...], *, all_written: bool = True
+    ) -> None:
+        """Cells of `rect`, which lies in `tiles`; `all_written`: no cell outside it was ever written."""
         self.tiles = tiles
-        self.dtype = dtype
-        self._rect = rect
-        self._pictures = pictures
+        self.rect = rect
+        self._kinds = planes
+        self._all_written = all_written
         self._lock = threading.Lock()
-        self._dense: StoredCells | None = None
+        self._whole: Planes | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self._rect.height, self._rect.width
+        return self.rect.height, self.rect.width
 
-    def __getitem__(self, part: tuple[slice, slice]) -> StoredCells:
-        if self._dense is not None:
-            return self._dense[part]
-        (south, north, _), (west, east, _) = (
-            cut.indices(size) for cut, size in zip(part, self.shape, strict=True)
-        )
-        return self._laid_out(
-            CellRect(self._rect.ix + west, self._rect.iy + south, max(east - west, 0), max(north - south, 0))
-        )
+    def planes(self, rows: slice = _ALL, columns: slice = _ALL, margin: int = 0) -> Planes:
+        """The planes of some rows and columns, with so many cells more on every side; 0 beyond the map.
 
-    def dense(self) -> StoredCells:
-        """All of them in one array, the same for all who ask."""
-        with self._lock:
-            if self._dense is None:
-                self._dense = self._laid_out(self._rect)
-            return self._dense
+        The whole rectangle without margin is the same arrays for all who ask.
+        """
+        rect = self._cut(rows, columns)
+        if margin:
+            return self._laid_out(
+                CellRect(
+                    rect.ix - margin, rect.iy - margin, rect.width + 2 * margin, rect.height + 2 * margin
+                )
+            )
+        if rect == self.rect:
+            with self._lock:
+                if self._whole is None:
+                    self._whole = self._laid_out(rect)
+                return self._whole
+        if self._whole is None:
+            return self._laid_out(rect)
+        x, y = rect.ix - self.rect.ix, rect.iy - self.rect.iy
+        return {
+            kind.name: self._whole[kind.name][
+                y * kind.side : (y + rect.height) * kind.side, x * kind.side : (x + rect.width) * kind.side
+            ]
+            for kind in self._kinds
+        }
 
-    def known_cells(self) -> int:
-        """How many cells were ever updated, counted tile by tile: nothing is laid out."""
+    def part(self, rows: slice, columns: slice) -> CellSource:
+        """The rectangle of some rows and columns; it is laid out when somebody asks for it."""
+        return TileView(self.tiles, self._cut(rows, columns), self._kinds, all_written=False)
+
+    def written(self, name: str) -> int:
+        """How many numbers of a plane are not 0, bit for bit, counted tile by tile: nothing is laid out."""
+        if not self._all_written:
+            return CellArrays(self.planes()).written(name)
         numbers, count = self.tiles.numbers, 0
         for tiles, _, rows in self.tiles.find(numbers[numbers > 0]):
             # As integers: a known zero of float64 cells is stored as -0.0 (see cells.log_odds).
-            count += _count_known(tiles.view(f"i{tiles.itemsize}"), rows)
+            count += _count_written(tiles[name].view(f"i{tiles[name].itemsize}"), rows)
         return count
 
-    def value_counts(self) -> NDArray[np.int64]:
-        """How often each stored int16 cell occurs, shape (65536,), by its bits; not counted is 0, unknown."""
+    def value_counts(self, name: str) -> NDArray[np.int64]:
+        """How often each value but 0 occurs in a plane of 16 bits: shape (65536,), by its bits."""
+        if not self._all_written:
+            return CellArrays(self.planes()).value_counts(name)
         numbers, counts = self.tiles.numbers, np.zeros(2**16, np.int64)
         for tiles, _, rows in self.tiles.find(numbers[numbers > 0]):
-            _count_values(tiles, rows, counts)
+            _count_values(tiles[name].view(np.uint16), rows, counts)
         counts[0] = 0
         return counts
 
-    def png(self, model: LogOdds, encoder: Encoder) -> bytes:
-        """PNG of what `encoder` draws, north up; there is at least one cell."""
-        if self.dtype != np.int16:
-            return write_png(model.encode(self.dense(), encoder)[::-1])
-        picture = self._pictures.get(encoder)
-        if picture is None:
-            picture = self._pictures.setdefault(encoder, MapPicture(model.table(encoder)))
-        return picture.png(self.tiles, self._rect)
+    def _cut(self, rows: slice, columns: slice) -> CellRect:
+        (south, north, _), (west, east, _) = rows.indices(self.rect.height), columns.indices(self.rect.width)
+        return CellRect(self.rect.ix + west, self.rect.iy + south, max(east - west, 0), max(north - south, 0))
 
-    def _laid_out(self, rect: CellRect) -> StoredCells:
-        dense = np.zeros((rect.height, rect.width), self.dtype)
+    def _laid_out(self, rect: CellRect) -> Mapping[str, StoredCells]:
         frame = self.tiles.rect
-        west, south = (rect.ix - frame.ix) // TILE, (rect.iy - frame.iy) // TILE
-        east, north = (
-            -((frame.ix - rect.ix - rect.width) // TILE),
-            -((frame.iy - rect.iy - rect.height) // TILE),
-        )
-        numbers = self.tiles.numbers[west:east, south:north]
+        shape = self.tiles.numbers.shape
+        west, south = max((rect.ix - frame.ix) // TILE, 0), max((rect.iy - frame.iy) // TILE, 0)
+        east = min(-((frame.ix - rect.ix - rect.width) // TILE), shape[0])
+        north = min(-((frame.iy - rect.iy - rect.height) // TILE), shape[1])
+        numbers = self.tiles.numbers[west : max(east, west), south : max(north, south)]
         tx, ty = np.nonzero(numbers)
+        found = self.tiles.find(numbers[tx, ty])
         columns, rows = TILE * (tx + west) + frame.ix - rect.ix, TILE * (ty + south) + frame.iy - rect.iy
-        for tiles, here, which in self.tiles.find(numbers[tx, ty]):
-            _lay_out(tiles, which, columns[here], rows[here], dense)
-        return dense
+        planes = {}
+        for name, dtype, side in self._kinds:
+            dense = np.zeros((rect.height * side, rect.width * side), dtype)
+            for tiles, here, which in found:
+                _lay_out(tiles[name], which, columns[here] * side, rows[here] * side, dense, TILE * side)
+            planes[name] = dense
+        return planes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -101,32 +117,33 @@ def _lay_out(
     columns: NDArray[np.int64],
     rows: NDArray[np.int64],
     dense: NDArray[Any],
+    size: int,
 ) -> None:
-    """Copy `tiles[which]` to where their lower-left cells have these columns and rows; cut what juts out."""
+    """Copy `tiles[which]`, `size` x `size` cells each, to these columns and rows; cut what juts out."""
     height, width = dense.shape
     for k in range(len(which)):
         column = columns[k]
-        west, east = max(0, -column), min(TILE, width - column)
-        for r in range(max(0, -rows[k]), min(TILE, height - rows[k])):
+        west, east = max(0, -column), min(size, width - column)
+        for r in range(max(0, -rows[k]), min(size, height - rows[k])):
             for c in range(west, east):
-                dense[rows[k] + r, column + c] = tiles[which[k], TILE * r + c]
+                dense[rows[k] + r, column + c] = tiles[which[k], size * r + c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count_known(tiles: NDArray[Any], which: NDArray[np.int64]) -> int:
+def _count_written(tiles: NDArray[Any], which: NDArray[np.int64]) -> int:
     """How many cells of `tiles[which]`, as integers, are not 0."""
     count = 0
     for k in range(len(which)):
-        tile, known = tiles[which[k]], np.int32(0)
-        for c in range(TILE * TILE):
-            known += np.int32(tile[c] != 0)
-        count += int(known)
+        tile, written = tiles[which[k]], np.int32(0)
+        for c in range(tiles.shape[1]):
+            written += np.int32(tile[c] != 0)
+        count += int(written)
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count_values(tiles: NDArray[np.int16], which: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+def _count_values(tiles: NDArray[np.uint16], which: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
     """Add to `counts`, by a cell's bits, how often each occurs in `tiles[which]`."""
     for k in range(len(which)):
-        for c in range(TILE * TILE):
-            counts[np.uint16(tiles[which[k], c])] += 1
+        for c in range(tiles.shape[1]):
+            counts[tiles[which[k], c]] += 1

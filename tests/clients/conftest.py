@@ -10,6 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import Lattice
@@ -121,7 +122,13 @@ def snapshot():
     cells = np.array([[0, 20001], [-20001, 1], [-6001, 2001]], np.int16)
     lattice = Lattice(0.1, (0.5, -0.25))
     return MapSnapshot(
-        cells, LogOdds(), lattice, (-5, 10), epoch="first", revision=7, stamp=1_700_000_000_000_000_001
+        CellArrays.of(LogOdds(), cells),
+        LogOdds(),
+        lattice,
+        (-5, 10),
+        epoch="first",
+        revision=7,
+        stamp=1_700_000_000_000_000_001,
     )
 
 

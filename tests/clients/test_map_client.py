@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from ogm_client import BadReply, CannotConnect, ClientError, MapClient, MapperError, NobodyAnswered
+from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, BadSetting
 
 STEP = 8.0 / 16383
@@ -28,7 +30,7 @@ def test_a_map_arrives_as_it_was_served(mapper, client):
 
 def test_a_map_without_scans_has_no_stamp_and_no_cells(mapper, client):
     cells = np.empty((0, 0), np.int16)
-    mapper.snapshot = replace(mapper.snapshot, stored=cells, revision=0, stamp=None)
+    mapper.snapshot = replace(mapper.snapshot, stored=CellArrays.of(LogOdds(), cells), revision=0, stamp=None)
     grid = client.get_map()
     assert (grid.width, grid.height, grid.revision, grid.stamp) == (0, 0, 0, None)
 

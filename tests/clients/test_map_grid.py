@@ -9,6 +9,7 @@ import yaml
 from PIL import Image
 
 from ogm_client import MapGrid
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.files.map_files import encode_npz, read_npz
@@ -34,7 +35,9 @@ def test_where_it_lies():
 def test_of_a_snapshot_it_is_what_a_mapper_would_send(cells):
     model = LogOdds(cells)
     stored = model.store(np.nan_to_num(LOG_ODDS), ~np.isnan(LOG_ODDS))
-    snapshot = MapSnapshot(stored, model, Lattice(0.5, (10.0, -20.0)), (-2, 4), "e", 3, 17)
+    snapshot = MapSnapshot(
+        CellArrays.of(model, stored), model, Lattice(0.5, (10.0, -20.0)), (-2, 4), "e", 3, 17
+    )
     grid, sent = MapGrid.from_snapshot(snapshot), read_npz(encode_npz(snapshot))
     np.testing.assert_array_equal(grid.log_odds, sent.log_odds)
     assert grid.log_odds.dtype == sent.log_odds.dtype

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -31,7 +31,7 @@ def start_cells(grid, height=150, width=200):
 def test_what_it_begins_with_is_served_at_the_lattices_place(cells):
     grid = grid_of(cells)
     start = start_cells(grid)
-    grid.begin_with(start)
+    grid.begin_with({PLANE: start})
     snapshot = grid.snapshot()
     assert grid.rect == CellRect(5, 10, 146, 92)
     assert np.array_equal(snapshot.cells.view(np.uint8), start[10:102, 5:151].copy().view(np.uint8))
@@ -42,11 +42,11 @@ def test_what_it_begins_with_is_served_at_the_lattices_place(cells):
 
 def test_only_tiles_with_a_known_cell_take_memory():
     grid = grid_of()
-    grid.begin_with(start_cells(grid))
+    grid.begin_with({PLANE: start_cells(grid)})
     # Columns 5 to 69 of row 10 lie in two tiles, column 150 in a third.
     assert grid._store.tiles_used == 3
     blank = grid_of()
-    blank.begin_with(np.zeros((150, 200), np.int16))
+    blank.begin_with({PLANE: np.zeros((150, 200), np.int16)})
     assert (blank._store.tiles_used, blank.rect.cells) == (0, 0)
 
 
@@ -55,7 +55,7 @@ def test_only_tiles_with_a_known_cell_take_memory():
 def test_scans_add_to_it(sensor, cells):
     begun, empty = grid_of(cells, sensor_model=sensor), grid_of(cells, sensor_model=sensor)
     start = start_cells(begun)
-    begun.begin_with(start)
+    begun.begin_with({PLANE: start})
     scan = Scan(5, 0.0, 0.02, 0.0, 20.0, np.linspace(3, 12, 200, dtype=np.float32))
     pose = Pose(-2.0, 4.0, -0.3)
     assert begun.integrate(scan, pose) == empty.integrate(scan, pose)
@@ -77,7 +77,7 @@ def test_scans_add_to_it(sensor, cells):
 
 def test_a_reset_empties_it():
     grid = grid_of()
-    grid.begin_with(start_cells(grid))
+    grid.begin_with({PLANE: start_cells(grid)})
     grid.reset("f")
     assert grid.snapshot().empty
 
@@ -86,10 +86,10 @@ def test_a_reset_empties_it():
 def test_more_than_the_limits_is_refused_whole(limit):
     grid = grid_of(**{limit: {"max_cells": 150 * 200 - 1, "max_bytes": 3 * 8192}[limit]})
     with pytest.raises(LimitReached, match=limit):
-        grid.begin_with(start_cells(grid))
+        grid.begin_with({PLANE: start_cells(grid)})
     assert grid.snapshot().empty
     roomy = grid_of(**{limit: {"max_cells": 150 * 200, "max_bytes": 40_000}[limit]})
-    roomy.begin_with(start_cells(roomy))
+    roomy.begin_with({PLANE: start_cells(roomy)})
 
 
 def test_an_anchor_moves_the_lattice_of_an_unbounded_map():

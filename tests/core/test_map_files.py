@@ -7,6 +7,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import probability_grey, ros_grey, trinary
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
@@ -37,12 +38,20 @@ def map_of(model, height=23, width=31, seed=2):
         log_odds = np.where(rng.random(shape) < 0.2, -0.0, rng.uniform(-8.0, 8.0, shape))
         cells = np.where(rng.random(shape) < 0.7, log_odds, 0.0)
     return MapSnapshot(
-        cells, model, Lattice(0.05, (-1.5, 2.0)), (-7, 12), "e9", 41, 1_700_000_000_123_456_789
+        CellArrays.of(model, cells),
+        model,
+        Lattice(0.05, (-1.5, 2.0)),
+        (-7, 12),
+        "e9",
+        41,
+        1_700_000_000_123_456_789,
     )
 
 
 def empty_map(model=MODELS[0]):
-    return MapSnapshot(np.zeros((0, 0), model.dtype), model, Lattice(0.05), (0, 0), "e0", 0, None)
+    return MapSnapshot(
+        CellArrays.of(model, np.zeros((0, 0), model.dtype)), model, Lattice(0.05), (0, 0), "e0", 0, None
+    )
 
 
 def pixels(data):
@@ -90,7 +99,7 @@ def test_pictures_are_north_up(model, palette, encoder):
 def test_a_wall_in_the_north_is_at_the_top():
     cells = np.zeros((3, 2), np.int16)
     cells[2, 1] = 9999
-    snap = MapSnapshot(cells, MODELS[0], Lattice(1.0), (0, 0), "e", 1, 1)
+    snap = MapSnapshot(CellArrays.of(MODELS[0], cells), MODELS[0], Lattice(1.0), (0, 0), "e", 1, 1)
     assert pixels(encode_png(snap)).tolist() == [[205, 0], [205, 205], [205, 205]]
 
 
@@ -188,7 +197,9 @@ def test_an_empty_map(model):
 
 
 def test_a_bounded_map_without_scans_is_drawn_unknown():
-    snap = MapSnapshot(np.zeros((4, 5), np.int16), MODELS[0], Lattice(0.1), (0, 0), "e", 0, None)
+    snap = MapSnapshot(
+        CellArrays.of(MODELS[0], np.zeros((4, 5), np.int16)), MODELS[0], Lattice(0.1), (0, 0), "e", 0, None
+    )
     assert pixels(encode_png(snap)).tolist() == [[205] * 5] * 4
     assert pixels(encode_png(snap, "probability")).tolist() == [[127] * 5] * 4
 

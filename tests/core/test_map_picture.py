@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 
 import naive
-from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.cells.model import Plane
 from ogm_core.files.map_files import PALETTES, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -66,7 +67,7 @@ def test_pictures_of_a_map_that_grows_in_all_directions(model, bounds):
         assert snap.known_cells == np.count_nonzero(model.known(cells))
         if model.cells == "int16":
             counts = np.bincount(cells[cells != 0].view(np.uint16), minlength=2**16)
-            assert np.array_equal(snap.stored.value_counts(), counts)
+            assert np.array_equal(snap.stored.value_counts(PLANE), counts)
         for palette in list(PALETTES)[: 1 + k % 2]:
             assert np.array_equal(pixels(encode_png(snap, palette)), drawn(model, cells, palette))
         if k % 10 == 0:
@@ -87,13 +88,15 @@ class Desk:
 
     def __init__(self, tiles=(5, 4), palette="probability", seed=0):
         self.rng = np.random.default_rng(seed)
-        self.store = TileStore(CellRect(-64, 128, TILE * tiles[0], TILE * tiles[1]), np.dtype(np.int16))
+        self.store = TileStore(
+            CellRect(-64, 128, TILE * tiles[0], TILE * tiles[1]), (Plane(PLANE, np.dtype(np.int16)),)
+        )
         self.palette, self.revision, self.copies = palette, 0, None
         self.picture = MapPicture(LogOdds().table(PALETTES[palette]))
 
     def fill(self, tx, ty, cells):
         self.revision += 1
-        self.store.cells.reshape(*self.store.touched.shape, TILE, TILE)[tx, ty] = cells
+        self.store.planes[PLANE].cells.reshape(*self.store.touched.shape, TILE, TILE)[tx, ty] = cells
         self.store.touched[tx, ty] = self.revision
 
     def check(self, rect=None):
@@ -143,7 +146,9 @@ def test_any_part_whose_surroundings_are_unknown():
         dense = np.zeros((frame.height, frame.width), np.int16)
         dense[south:north, west:east] = desk.rng.choice([0, 0, 9001, -777], (north - south, east - west))
         desk.revision += 1
-        desk.store.cells.reshape(5, 4 * TILE, TILE)[:] = dense.reshape(4 * TILE, 5, TILE).transpose(1, 0, 2)
+        desk.store.planes[PLANE].cells.reshape(5, 4 * TILE, TILE)[:] = dense.reshape(
+            4 * TILE, 5, TILE
+        ).transpose(1, 0, 2)
         desk.store.touched[:] = desk.revision
         desk.check(rect)
 
@@ -154,7 +159,7 @@ def test_small_pictures(width, height):
     desk = Desk()
     rect = CellRect(-64 + 10, 128 + 7, width, height)
     for (iy, ix), value in np.ndenumerate(desk.rng.integers(-9000, 9000, (height, width))):
-        desk.store.cells[desk.store.column[10 + ix] + TILE * (7 + iy)] = value
+        desk.store.planes[PLANE].cells[desk.store.planes[PLANE].column[10 + ix] + TILE * (7 + iy)] = value
     desk.revision += 1
     desk.store.touched[:] = desk.revision
     desk.check(rect)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
@@ -51,7 +52,7 @@ def random_map(cells, seed, *, scans=30, longest=10.0, **changes):
 
 
 def snapshot_of(cells, model, resolution=0.5):
-    return MapSnapshot(np.array(cells), model, Lattice(resolution), (0, 0), "e", 1, 1)
+    return MapSnapshot(CellArrays.of(model, np.array(cells)), model, Lattice(resolution), (0, 0), "e", 1, 1)
 
 
 def bits(p):

@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import probability_grey, trinary
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter
@@ -22,7 +23,9 @@ model_of_every_kind = pytest.mark.parametrize("model", MODELS, ids=lambda m: f"{
 
 def snapshot(cells, model=MODELS[0], offset=(0, 0), lattice=None, **fields):
     fields = {"epoch": "e1", "revision": 7, "stamp": 123, **fields}
-    return MapSnapshot(np.asarray(cells, model.dtype), model, lattice or Lattice(0.5), offset, **fields)
+    return MapSnapshot(
+        CellArrays.of(model, np.asarray(cells, model.dtype)), model, lattice or Lattice(0.5), offset, **fields
+    )
 
 
 def random_cells(model, shape, seed, share_known=0.5):

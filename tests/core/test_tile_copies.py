@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core.cells.log_odds import PLANE
+from ogm_core.cells.model import Plane
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import copy_tiles
 from ogm_core.tiles.store import TILE, TileStore
@@ -16,7 +18,7 @@ class Desk:
     """A store, its revision, and writers of cells."""
 
     def __init__(self, rect, dtype=INT16, seed=0):
-        self.store = TileStore(rect, dtype)
+        self.store = TileStore(rect, (Plane(PLANE, np.dtype(dtype)),))
         self.revision = 0
         self.rng = np.random.default_rng(seed)
 
@@ -29,7 +31,9 @@ class Desk:
                 grown.take(self.store)
                 self.store = grown
             i, j = ix - self.store.rect.ix, iy - self.store.rect.iy
-            self.store.cells[self.store.column[i] + TILE * j] = self.rng.integers(1, 30_000)
+            self.store.planes[PLANE].cells[self.store.planes[PLANE].column[i] + TILE * j] = self.rng.integers(
+                1, 30_000
+            )
             self.store.touched[i // TILE, j // TILE] = self.revision
 
     def _square(self):
@@ -45,7 +49,7 @@ class Desk:
 
 
 def cells_of(copies, dtype=INT16, rect=None):
-    return TileView(copies, rect or copies.rect, dtype, {}).dense()
+    return TileView(copies, rect or copies.rect, (Plane(PLANE, np.dtype(dtype)),)).planes()[PLANE]
 
 
 @pytest.mark.parametrize("dtype", [INT16, FLOAT64])
@@ -69,8 +73,8 @@ def test_only_what_was_written_since_is_copied():
     first = desk.copy()
     desk.write((64, 64), (65, 127), (640 - 1, 640 - 1))
     second = desk.copy(first)
-    assert second.blocks[0].tiles is first.blocks[0].tiles
-    assert [len(block.tiles) for block in second.blocks] == [40, 2]
+    assert second.blocks[0].planes[PLANE] is first.blocks[0].planes[PLANE]
+    assert [len(block.planes[PLANE]) for block in second.blocks] == [40, 2]
     same = second.numbers == first.numbers
     assert np.argwhere(~same).tolist() == [[1, 1], [9, 9]]
     assert np.count_nonzero(second.numbers) == 41
@@ -85,7 +89,7 @@ def test_growth_keeps_what_was_copied():
     first = desk.copy()
     desk.write((-1, -1), (500, 300))
     second = desk.copy(first)
-    assert second.blocks[0].tiles is first.blocks[0].tiles
+    assert second.blocks[0].planes[PLANE] is first.blocks[0].planes[PLANE]
     tx, ty = -second.rect.ix // TILE, -second.rect.iy // TILE
     assert second.numbers[tx : tx + 2, ty].tolist() == first.numbers[:, 0].tolist() == [1, 2]
     assert np.array_equal(cells_of(second), desk.cells())
@@ -96,11 +100,11 @@ def test_old_blocks_are_given_up_before_they_take_more_room_than_the_tiles():
     for _ in range(300):
         desk.write()
         copies = desk.copy(copies)
-        held = sum(len(block.tiles) for block in copies.blocks)
+        held = sum(len(block.planes[PLANE]) for block in copies.blocks)
         assert held <= 2 * np.count_nonzero(copies.numbers)
         for block in copies.blocks:
             used = np.count_nonzero((copies.numbers >= block.first) & (copies.numbers < block.end))
-            assert 2 * used >= len(block.tiles)
+            assert 2 * used >= len(block.planes[PLANE])
             assert used == block.used
     assert np.array_equal(cells_of(copies), desk.cells())
 
@@ -109,7 +113,7 @@ def test_nobody_can_write_into_a_copy():
     desk = Desk(CellRect(0, 0, 64, 64))
     desk.write((3, 4))
     copies = desk.copy()
-    for array in (copies.numbers, copies.blocks[0].tiles):
+    for array in (copies.numbers, copies.blocks[0].planes[PLANE]):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 5
 
@@ -118,7 +122,7 @@ def test_cells_that_a_map_begins_with_and_those_of_its_first_scan():
     desk = Desk(CellRect(0, 0, 128, 64))
     dense = np.zeros((64, 128), np.int16)
     dense[5, 70] = 9
-    desk.store.write(desk.store.rect, dense)  # as of revision 1; the map is at 0
+    desk.store.write(desk.store.rect, {PLANE: dense})  # as of revision 1; the map is at 0
     first = desk.copy()
     desk.write((70, 6))  # revision 1
     second = desk.copy(first)
@@ -148,11 +152,11 @@ def test_any_part_can_be_laid_out(dtype):
         west, east = sorted(desk.rng.choice(frame.width + 1, 2, replace=False).tolist())
         south, north = sorted(desk.rng.choice(frame.height + 1, 2, replace=False).tolist())
         rect = CellRect(frame.ix + west, frame.iy + south, east - west, north - south)
-        part = TileView(copies, rect, dtype, {})
+        part = TileView(copies, rect, (Plane(PLANE, np.dtype(dtype)),))
         expected = whole[south:north, west:east]
         assert part.shape == expected.shape
         cuts = slice(1, rect.height // 2), slice(rect.width // 3, rect.width)
-        assert np.array_equal(part[cuts], expected[cuts])
-        assert np.array_equal(part.dense(), expected)
-        assert part.dense() is part.dense()
-        assert np.array_equal(part[cuts], expected[cuts])
+        assert np.array_equal(part.planes(*cuts)[PLANE], expected[cuts])
+        assert np.array_equal(part.planes()[PLANE], expected)
+        assert part.planes()[PLANE] is part.planes()[PLANE]
+        assert np.array_equal(part.planes(*cuts)[PLANE], expected[cuts])

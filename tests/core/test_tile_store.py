@@ -7,27 +7,29 @@ import numpy as np
 import pytest
 
 import naive
+from ogm_core.cells.log_odds import PLANE
+from ogm_core.cells.model import Plane
 from ogm_core.errors import LimitReached
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE, TileStore
 
-INT16 = np.dtype(np.int16)
+INT16 = (Plane(PLANE, np.dtype(np.int16)),)
 NOWHERE = CellRect(0, 0, 0, 0)
 
 
 def write(store, ix, iy, value):
     """Store a cell as the kernels do, and mark its tile."""
     i, j = ix - store.rect.ix, iy - store.rect.iy
-    store.cells[store.column[i] + TILE * j] = value
+    store.planes[PLANE].cells[store.planes[PLANE].column[i] + TILE * j] = value
     tile = i // TILE, j // TILE
     store.tiles_used += store.touched[tile] == 0
     store.touched[tile] = 1
 
 
-def filled(rect, count, seed=0, dtype=INT16):
+def filled(rect, count, seed=0, dtype=np.int16):
     """A store with some cells written, and the same cells in a dictionary."""
     rng = np.random.default_rng(seed)
-    store, cells = TileStore(rect, dtype), {}
+    store, cells = TileStore(rect, (Plane(PLANE, np.dtype(dtype)),)), {}
     for value in range(1, count + 1):
         cell = rect.ix + int(rng.integers(rect.width)), rect.iy + int(rng.integers(rect.height))
         write(store, *cell, value)
@@ -36,7 +38,7 @@ def filled(rect, count, seed=0, dtype=INT16):
 
 
 def assert_holds(store, cells):
-    dense = np.zeros((store.rect.height, store.rect.width), store.cells.dtype)
+    dense = np.zeros((store.rect.height, store.rect.width), store.planes[PLANE].cells.dtype)
     for (ix, iy), value in cells.items():
         dense[iy - store.rect.iy, ix - store.rect.ix] = value
     assert np.array_equal(naive.stored(store, store.rect), dense)
@@ -60,23 +62,23 @@ def test_a_store_is_a_rectangle_of_whole_tiles(rect, tiles):
     assert store.rect == tiles
     assert store.touched.shape == (tiles.width // 64, tiles.height // 64)
     assert naive.stored(store, store.rect).shape == (tiles.height, tiles.width)
-    assert not store.cells.any()
+    assert not store.planes[PLANE].cells.any()
 
 
 def test_every_cell_has_an_address_of_its_own_and_every_tile_a_block():
     store = TileStore(CellRect(0, 0, 192, 128), INT16)
-    addresses = store.column[:, None] + TILE * np.arange(128)
+    addresses = store.planes[PLANE].column[:, None] + TILE * np.arange(128)
     assert np.array_equal(np.sort(addresses, axis=None), np.arange(192 * 128))
     for tx, ty in itertools.product(range(3), range(2)):
         tile = addresses[64 * tx : 64 * (tx + 1), 64 * ty : 64 * (ty + 1)]
         assert tile.max() - tile.min() == 64 * 64 - 1
 
 
-@pytest.mark.parametrize("dtype", [INT16, np.dtype(np.float64)])
+@pytest.mark.parametrize("dtype", [np.dtype(np.int16), np.dtype(np.float64)])
 def test_a_store_keeps_what_is_written(dtype):
     store, cells = filled(CellRect(-100, 30, 300, 200), 3000, dtype=dtype)
     assert_holds(store, cells)
-    assert store.cells.dtype == dtype
+    assert store.planes[PLANE].cells.dtype == dtype
 
 
 @pytest.mark.parametrize(
@@ -134,7 +136,7 @@ def test_the_first_growth_of_an_empty_store_is_exact():
     store = TileStore(NOWHERE, INT16).grown(CellRect(5000, -5000, 10, 10))
     assert store.rect == CellRect(4992, -5056, 64, 128)
     store.take(TileStore(NOWHERE, INT16))
-    assert not store.cells.any()
+    assert not store.planes[PLANE].cells.any()
 
 
 def test_tiles_and_bytes_are_counted():
@@ -190,22 +192,22 @@ def test_what_is_written_is_read_back_and_takes_only_the_tiles_it_needs():
     dense[:, 40:150] = 0
     store = TileStore(CellRect(-100, 30, 400, 300), INT16)
     rect = CellRect(-70, 50, 200, 130)
-    store.write(rect, dense)
+    store.write(rect, {PLANE: dense})
     assert np.array_equal(naive.stored(store, rect), dense)
-    assert np.count_nonzero(store.cells) == np.count_nonzero(dense)
+    assert np.count_nonzero(store.planes[PLANE].cells) == np.count_nonzero(dense)
     rows, columns = np.nonzero(dense)
     tiles = set(zip((columns - 70 + 128) // 64, (rows + 50) // 64, strict=True))
     assert set(zip(*np.nonzero(store.touched), strict=True)) == tiles
     assert store.tiles_used == len(tiles)
-    store.write(rect, dense)
+    store.write(rect, {PLANE: dense})
     assert store.tiles_used == len(tiles)
 
 
 def test_a_cell_of_minus_zero_is_written():
-    store = TileStore(CellRect(0, 0, 64, 64), np.dtype(np.float64))
+    store = TileStore(CellRect(0, 0, 64, 64), (Plane(PLANE, np.dtype(np.float64)),))
     dense = np.zeros((2, 2))
     dense[1, 0] = -0.0
-    store.write(CellRect(3, 4, 2, 2), dense)
+    store.write(CellRect(3, 4, 2, 2), {PLANE: dense})
     assert store.tiles_used == 1
     assert np.signbit(naive.stored(store, CellRect(3, 4, 2, 2))).tolist() == [[False, False], [True, False]]
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import naive_truth
-from ogm_core.cells import log_odds as logodds
+from ogm_core.cells import model as model_module
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.quality import truth
@@ -234,7 +235,7 @@ def snapshot_of(p, cells="float64", offset=(0, 0), lattice=UNIT):
     known = ~np.isnan(p)
     model = LogOdds(cells)
     log_odds = np.log(np.where(known, p, 0.5) / (1 - np.where(known, p, 0.5)))
-    return MapSnapshot(model.store(log_odds, known), model, lattice, offset, "e", 1, 1)
+    return MapSnapshot(CellArrays.of(model, model.store(log_odds, known)), model, lattice, offset, "e", 1, 1)
 
 
 NAN = math.nan
@@ -306,9 +307,9 @@ def test_one_half_is_not_occupied():
 def test_log_loss_is_limited():
     model = LogOdds("float64", l_min=-900.0, l_max=900.0)
     row = np.array([[-900.0, -900.0, -900.0]])
-    result = truth_figures(MapSnapshot(row, model, UNIT, (0, 0), "e", 1, 1), WALL)
+    result = truth_figures(MapSnapshot(CellArrays.of(model, row), model, UNIT, (0, 0), "e", 1, 1), WALL)
     assert result["log_loss"] == pytest.approx(-math.log(1e-9) / 3)
-    result = truth_figures(MapSnapshot(-row, model, UNIT, (0, 0), "e", 1, 1), WALL)
+    result = truth_figures(MapSnapshot(CellArrays.of(model, -row), model, UNIT, (0, 0), "e", 1, 1), WALL)
     assert result["log_loss"] == pytest.approx(-math.log(1e-9) * 2 / 3)
 
 
@@ -324,7 +325,7 @@ def test_nothing_judged_gives_none(cells):
 @BOTH
 @pytest.mark.parametrize("band", [1, 40, 2**18])
 def test_figures_are_those_of_every_cell_by_itself(monkeypatch, cells, band):
-    monkeypatch.setattr(logodds, "_BAND_CELLS", band)
+    monkeypatch.setattr(model_module, "_BAND_CELLS", band)
     rng = np.random.default_rng(band)
     world, lattice, offset = random_world(rng, 2), Lattice(0.7, (-3.1, 2.7)), (-4, -14)
     rect = CellRect(*offset, 14, 15)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
@@ -34,7 +35,9 @@ def snapshot_of(p, *, resolution=0.5, anchor=(0.0, 0.0), offset=(0, 0), revision
     known = ~np.isnan(p)
     model = LogOdds("float64", l_min=-20.0, l_max=20.0)
     cells = model.store(np.log(np.where(known, p, 0.5) / (1 - np.where(known, p, 0.5))), known)
-    return MapSnapshot(cells, model, Lattice(resolution, anchor), offset, "e", revision, 1)
+    return MapSnapshot(
+        CellArrays.of(model, cells), model, Lattice(resolution, anchor), offset, "e", revision, 1
+    )
 
 
 def world_of(circles=(), walls=()):
@@ -296,8 +299,10 @@ def test_matplotlib_is_loaded_for_figures_only_and_without_pyplot():
         "import ogm_services.results.figure as figure, numpy as np\n"
         "from ogm_core.grid import MapSnapshot\n"
         "from ogm_core.cells.log_odds import LogOdds\n"
+        "from ogm_core.cells.arrays import CellArrays\n"
         "from ogm_core.lattice import Lattice\n"
-        "snapshot = MapSnapshot(np.full((2, 2), 1.5), LogOdds('float64'), Lattice(1.0), (0, 0), 'e', 1, 1)\n"
+        "cells = CellArrays({'log_odds': np.full((2, 2), 1.5)})\n"
+        "snapshot = MapSnapshot(cells, LogOdds('float64'), Lattice(1.0), (0, 0), 'e', 1, 1)\n"
         "figure.encode_figure(figure.draw_map(snapshot, 'a', 'b', None, {}), 'png')\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )

@@ -42,7 +42,7 @@ KERNELS = (
     run_coding.count_runs,
     run_coding.code_tiles,
     run_coding.join_rows,
-    tiled_cells._count_known,
+    tiled_cells._count_written,
     tiled_cells._lay_out,
     tiled_cells._count_values,
 )

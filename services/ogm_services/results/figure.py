@@ -150,8 +150,9 @@ def _draw_cells(axes: Axes, shown: MapSnapshot) -> AxesImage:
     xmin, ymin = shown.origin
     xmax, ymax = shown.lattice.corner_of(ix + width, iy + height)
     axes.set_facecolor(UNKNOWN)
+    probability, known = shown.published()
     return axes.imshow(
-        np.ma.masked_where(~shown.model.known(shown.cells), shown.model.probability(shown.cells)),
+        np.ma.masked_where(~known, probability),
         cmap=mpl.colormaps["gray_r"].with_extremes(bad=UNKNOWN),
         vmin=0.0,
         vmax=1.0,

@@ -6,13 +6,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar, cast
 
-from numpy.typing import NDArray
-
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.copies import Tiles
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 RECENT_SCANS = 100
@@ -134,7 +133,7 @@ class LiveMap:
         grid, rect = self._grid, self._grid.rect
         return _State(Identity(grid.epoch, grid.revision, grid.stamp), rect.width, rect.height, grid.nbytes)
 
-    def _room(self) -> NDArray[Any] | None:
+    def _room(self) -> Tiles | None:
         """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""
         known, now = self._snapshot, self.now
         if known is not None and (known.epoch, known.revision) == now[:2]:
@@ -143,7 +142,7 @@ class LiveMap:
             make_room = self._grid.room_for_snapshot()
         return make_room()
 
-    def _current_snapshot(self, room: NDArray[Any] | None) -> MapSnapshot:
+    def _current_snapshot(self, room: Tiles | None) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
         known = self._snapshot
         if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):

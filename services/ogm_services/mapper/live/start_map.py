@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
-from ogm_core.cells.log_odds import LogOdds
-from ogm_core.cells.model import StoredCells
+from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.cells.model import CellModel, Planes, StoredCells
 from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_services.settings.settings import Settings
@@ -37,12 +37,20 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
     grid = OccupancyGrid(grid_settings, epoch)
     try:
-        grid.begin_with(start_cells(ros_map.occupancy, grid.model, settings.mapper.start_confidence))
+        grid.begin_with(_start_planes(ros_map.occupancy, grid.model, settings.mapper.start_confidence))
     except LimitReached as error:
         raise BadSetting(
             f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
         ) from error
     return grid
+
+
+def _start_planes(occupancy: NDArray[np.int8], model: CellModel, confidence: float) -> Planes:
+    if not isinstance(model, LogOdds):
+        raise BadSetting(
+            "mapper.start_map: a ROS map starts a map of log odds: leave it out, or map.cell_model"
+        )
+    return {PLANE: start_cells(occupancy, model, confidence)}
 
 
 def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) -> StoredCells:

@@ -110,11 +110,11 @@ class Answers:
         reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
         reply |= {"log_odds": None, "probability": None}
         if 0 <= column < snapshot.width and 0 <= row < snapshot.height:
-            cells = snapshot.stored[row : row + 1, column : column + 1]
-            if snapshot.model.known(cells).item():
-                log_odds = snapshot.model.log_odds(cells).item()
-                probability = snapshot.model.probability(cells).item()
-                reply |= {"known": True, "log_odds": log_odds, "probability": probability}
+            here = slice(row, row + 1), slice(column, column + 1)
+            probability, known = snapshot.published(*here)
+            if known.item():
+                log_odds = snapshot.log_odds(*here).item()
+                reply |= {"known": True, "log_odds": log_odds, "probability": probability.item()}
         return _json(reply)
 
     def quality(self, given: Parameters) -> Answer:

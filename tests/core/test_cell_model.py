@@ -1,0 +1,267 @@
+"""The seam of the cell model: a second model, tiny and all its own, through every part that carries cells.
+
+It counts how many beams passed a cell and, on a plane twice as fine, how many ended in each quarter of it, by
+the side that they came from. Sums do not depend on order, and its probability looks one cell around.
+"""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import naive
+from ogm_core.cells.classes import OCCUPIED, trinary
+from ogm_core.cells.model import CellModel, Plane
+from ogm_core.errors import BadSetting, LimitReached
+from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode_png
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import CellRect, Region
+from ogm_core.quality.figures import Consistency, quality_figures
+from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED
+from ogm_core.types import PlacedScan, Pose, Scan
+
+PASSED, ENDED = "passed", "ended"
+
+
+def quarter(start, end):
+    """Which quarter of its end cell a beam came through: (x, y), each 0 or 1."""
+    return int(start[0] > end[0]), int(start[1] > end[1])
+
+
+class Counts(CellModel):
+    """Passes a cell, and ends a quarter of it."""
+
+    sensor_models = frozenset({"beam"})
+    margin = 1
+    planes = (Plane(PASSED, np.dtype(np.uint16)), Plane(ENDED, np.dtype(np.uint32), 2))
+    l0 = 0.0
+
+    def update(self, evidence, store, window, revision):
+        evidence.touch(store, window, revision)
+        (ends,) = evidence.arrays
+        passed, ended = store.planes[PASSED], store.planes[ENDED]
+        updates = 0
+        for beam in ends.T.tolist():
+            if beam[KIND] == SKIPPED:
+                continue
+            start, end = ((beam[x] - window.ix, beam[y] - window.iy) for x, y in ((IX0, IY0), (IX, IY)))
+            for i, j in naive.bresenham(*start, *end)[1:]:
+                if not (0 <= i < window.width and 0 <= j < window.height):
+                    continue
+                updates += 1
+                if (i, j) == end and beam[KIND] == HIT:
+                    x, y = quarter(start, end)
+                    ended.cells[ended.column[2 * i + x] + 128 * (2 * j + y)] += 1
+                else:
+                    passed.cells[passed.column[i] + 64 * j] += 1
+        return updates
+
+    def published(self, planes):
+        height, width = planes[PASSED].shape
+        ended = planes[ENDED].reshape(height, 2, width, 2).sum(axis=(1, 3))
+        passed = planes[PASSED].astype(np.int64)
+        known = (passed + ended > 0)[1:-1, 1:-1]
+        around = sum(ended[y : y + height - 2, x : x + width - 2] for x in range(3) for y in range(3))
+        hits = ended[1:-1, 1:-1]
+        p = (hits + 0.1 * around + 0.1) / (hits + passed[1:-1, 1:-1] + 0.1 * around + 0.2)
+        return np.where(known, p, 0.5), known
+
+
+class Twin:
+    """Two dictionaries."""
+
+    def __init__(self, settings):
+        self.settings, self.passed, self.ended = settings, {}, {}
+
+    def integrate(self, scan, pose):
+        bounds = self.settings.bounds_rect
+        for start, end, hit, line in naive.observed(scan, pose, self.settings):
+            for cell, occupied in naive.evidence(start, end, hit, line):
+                if bounds is not None and not (0 <= cell[0] < bounds.width and 0 <= cell[1] < bounds.height):
+                    continue
+                if occupied:
+                    x, y = quarter(start, end)
+                    fine = 2 * cell[0] + x, 2 * cell[1] + y
+                    self.ended[fine] = self.ended.get(fine, 0) + 1
+                else:
+                    self.passed[cell] = self.passed.get(cell, 0) + 1
+
+    def planes(self, rect):
+        passed = np.zeros((rect.height, rect.width), np.uint16)
+        ended = np.zeros((2 * rect.height, 2 * rect.width), np.uint32)
+        for (i, j), count in self.passed.items():
+            passed[j - rect.iy, i - rect.ix] = count
+        for (i, j), count in self.ended.items():
+            ended[j - 2 * rect.iy, i - 2 * rect.ix] = count
+        return {PASSED: passed, ENDED: ended}
+
+    def probability(self, i, j):
+        def hits(i, j):
+            return sum(self.ended.get((2 * i + x, 2 * j + y), 0) for x in (0, 1) for y in (0, 1))
+
+        own, passed = hits(i, j), self.passed.get((i, j), 0)
+        if own + passed == 0:
+            return None
+        around = sum(hits(i + x, j + y) for x in (-1, 0, 1) for y in (-1, 0, 1))
+        return (own + 0.1 * around + 0.1) / (own + passed + 0.1 * around + 0.2)
+
+
+SCANS = 12
+
+
+def scans(count=SCANS):
+    """A robot that drives 30 m to the north-east, past the edges of many tiles."""
+    rng = np.random.default_rng(4)
+    for k in range(count):
+        ranges = rng.uniform(0.5, 9.0, 60).astype(np.float32)
+        scan = Scan(k, -math.pi, math.tau / 60, 0.1, 8.0, ranges)
+        yield scan, Pose(2.1 * k - 3.0, 1.9 * k - 2.0, 0.3 * k)
+
+
+def maps(order=1, **changes):
+    settings = GridSettings(**{"resolution": 0.1, "cell_model": Counts(), **changes})
+    grid, twin = OccupancyGrid(settings, "e"), Twin(settings)
+    for scan, pose in list(scans())[::order]:
+        twin.integrate(scan, pose)
+        grid.integrate(scan, pose)
+    return grid, twin
+
+
+BOUNDS = Region(-5.0, -4.0, 12.3, 9.7)
+EVERYWHERE = pytest.mark.parametrize("changes", [{}, {"bounds": BOUNDS}], ids=["unbounded", "bounded"])
+
+
+@EVERYWHERE
+def test_planes_and_probabilities_are_the_twins(changes):
+    grid, twin = maps(**changes)
+    snapshot = grid.snapshot()
+    rect = grid.rect
+    assert rect == (CellRect(0, 0, 173, 137) if changes else snapshot.rect)
+    stored, expected = snapshot.stored.planes(), twin.planes(rect)
+    for name in (PASSED, ENDED):
+        assert stored[name].dtype == expected[name].dtype
+        assert np.array_equal(stored[name], expected[name])
+    assert stored[ENDED].sum() > 200
+    p, known = snapshot.published()
+    for j in range(rect.height):
+        for i in range(rect.width):
+            of_twin = twin.probability(i + rect.ix, j + rect.iy)
+            assert known[j, i] == (of_twin is not None)
+            assert p[j, i] == pytest.approx(0.5 if of_twin is None else of_twin, abs=1e-15)
+    assert snapshot.known_cells == np.count_nonzero(known)
+
+
+def test_order_does_not_matter():
+    one, other = (maps(order)[0].snapshot().stored.planes() for order in (1, -1))
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_snapshots_share_what_has_not_changed_and_keep_what_they_had():
+    settings = GridSettings(resolution=0.1, cell_model=Counts())
+    grid, twin, kept = OccupancyGrid(settings, "e"), Twin(settings), []
+    for scan, pose in scans():
+        grid.integrate(scan, pose)
+        twin.integrate(scan, pose)
+        snapshot = grid.snapshot(grid.room_for_snapshot()())
+        kept.append((snapshot, twin.planes(snapshot.rect)))
+    for snapshot, planes in kept:
+        assert all(np.array_equal(snapshot.stored.planes()[name], planes[name]) for name in planes)
+
+
+def test_a_part_is_published_as_in_the_whole():
+    snapshot = maps()[0].snapshot()
+    p, known = snapshot.published()
+    rows, columns = slice(40, 90), slice(33, 150)
+    assert np.array_equal(snapshot.published(rows, columns)[0], p[rows, columns])
+    x, y = snapshot.origin
+    part = snapshot.crop(Region(x + 3.31, y + 4.01, x + 14.99, y + 8.99))
+    assert np.array_equal(part.published()[0], p[rows, columns])
+    assert np.array_equal(part.published()[1], known[rows, columns])
+
+
+@EVERYWHERE
+def test_pictures_and_files_show_it(changes):
+    grid, _ = maps(**changes)
+    snapshot = grid.snapshot()
+    p, known = snapshot.published()
+    greys = np.where(known & (p > 0.65), 0, np.where(known & (p < 0.196), 254, 205))[::-1]
+    assert {0, 254, 205} == set(np.unique(greys).tolist())
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(snapshot)))), greys)
+    assert encode_pgm(snapshot).endswith(greys.astype(np.uint8).tobytes())
+    brightness = np.where(known, np.floor(255.0 * p + 0.5), 127)[::-1]
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(snapshot, "probability")))), brightness)
+    with np.load(io.BytesIO(encode_npz(snapshot))) as file:
+        for name, cells in snapshot.stored.planes().items():
+            assert np.array_equal(file[name], cells)
+        assert file["offset"].tolist() == list(snapshot.offset)
+    assert encode_json(snapshot, "m").count(b" -1,") >= np.count_nonzero(~known) - 1
+
+
+def test_shrunk_occupied_wins_then_free():
+    snapshot = maps()[0].snapshot()
+    small = snapshot.shrink(100)
+    factor = small.factor
+    assert factor > 1
+    classes, (p, known) = snapshot.encode(trinary), snapshot.published()
+    for j in range(small.height):
+        for i in range(small.width):
+            block = slice(j * factor, (j + 1) * factor), slice(i * factor, (i + 1) * factor)
+            if (classes[block] == OCCUPIED).any():
+                expected = p[block][known[block]].max()
+            elif known[block].any():
+                expected = p[block][known[block]].min()
+            else:
+                expected = 0.5
+            assert small.published()[0][j, i] == expected
+            assert small.published()[1][j, i] == known[block].any()
+
+
+def test_figures_judge_it():
+    grid, twin = maps()
+    snapshot = grid.snapshot()
+    consistency = Consistency(snapshot, grid.settings)
+    for scan, pose in scans():
+        consistency.add(PlacedScan(scan, pose))
+    figures = quality_figures(snapshot, consistency, grid.cell_updates)
+    known = {(i // 2, j // 2) for i, j in twin.ended} | set(twin.passed)
+    p = np.array([twin.probability(*cell) for cell in known])
+    q = 1.0 - p
+    assert figures["known_m2"] == pytest.approx(0.01 * len(known))
+    assert figures["occupied_m2"] == pytest.approx(0.01 * np.count_nonzero(p > 0.65))
+    assert figures["entropy_bits"] == pytest.approx(float(-(p * np.log2(p) + q * np.log2(q)).sum()))
+    assert figures["cell_updates"] == sum(twin.passed.values()) + sum(twin.ended.values())
+    assert 0.3 < figures["consistency"]["hits"] <= 1.0
+
+
+def test_bytes_count_all_planes_and_too_many_are_refused_whole():
+    grid, _ = maps(max_bytes=2**31)
+    tile = 64 * 64 * 2 + 128 * 128 * 4
+    assert grid._store.tile_bytes == tile
+    small = OccupancyGrid(GridSettings(resolution=0.1, cell_model=Counts(), max_bytes=12 * tile), "e")
+    placed = list(scans())
+    for scan, pose in placed[:2]:
+        small.integrate(scan, pose)
+    before = small.snapshot().stored.planes()
+    with pytest.raises(LimitReached, match=f"tiles of {tile} bytes"):
+        small.integrate(*placed[-1])
+    after = small.snapshot().stored.planes()
+    assert small.revision == 2
+    assert all(np.array_equal(after[name], before[name]) for name in after)
+
+
+def test_a_map_begins_with_its_planes():
+    grid, twin = maps()
+    planes = twin.planes(grid.rect)
+    begun = OccupancyGrid(grid.settings, "f")
+    begun.begin_with(planes)
+    stored = begun.snapshot().stored.planes()
+    assert begun.rect == CellRect(0, 0, grid.rect.width, grid.rect.height)
+    assert all(np.array_equal(stored[name], planes[name]) for name in planes)
+
+
+def test_evidence_that_it_does_not_take_is_refused_by_name():
+    with pytest.raises(BadSetting, match=r"^sensor_model: cell model Counts takes beam, not sector$"):
+        GridSettings(cell_model=Counts(), sensor_model="sector")
