@@ -1,4 +1,4 @@
-"""Everything that this project raises on purpose.
+"""Exceptions: everything that this project raises on purpose.
 
 OgmError
 +-- BadInput              something given to us is wrong: the text says what, and what to do

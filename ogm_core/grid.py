@@ -1,4 +1,4 @@
-"""The occupancy map: scans and sensor poses in, snapshots out."""
+"""Occupancy grid mapping with known poses: scans and sensor poses in, snapshots out."""
 
 from collections.abc import Callable
 from functools import partial

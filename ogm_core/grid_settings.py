@@ -1,4 +1,4 @@
-"""What a map is made of: the settings of an `OccupancyGrid`. Light: loads no kernels."""
+"""Settings of an `OccupancyGrid`: what a map is made of. Light: loads no kernels."""
 
 import math
 from dataclasses import dataclass, field

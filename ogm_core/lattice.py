@@ -1,4 +1,4 @@
-"""World <-> cell arithmetic: the only module where metres become cells and cells become metres.
+"""Lattice: world <-> cell arithmetic, the only module where metres become cells and cells become metres.
 
 A map's lattice is fixed for its life. Cells are half open: cell (ix, iy) holds the points with
 ix <= (x - anchor_x) / resolution < ix + 1, and likewise in y. Serving crops; it never shifts the lattice.

@@ -1,4 +1,4 @@
-"""A copy of a map at one revision: what readers get, cut and shrunk before it is encoded."""
+"""Map snapshot: a copy of a map at one revision, cut and shrunk before it is encoded."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""The values that travel through the mapper: poses and scans."""
+"""Poses, scans and sweeps: the values that travel through the mapper."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Cells that are arrays already: of a file, of a reply, of a picture that was shrunk."""
+"""Dense cells: planes that are arrays already, of a file, of a reply, of a picture that was shrunk."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""The updates of log odds done to 64 int16 cells side by side: a few instructions, whatever part is meant.
+"""Block updates of log odds: 64 int16 cells side by side in a few instructions, whatever part is meant.
 
 A block is always updated whole, and a mask keeps what lies outside the part:
 

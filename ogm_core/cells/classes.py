@@ -1,4 +1,4 @@
-"""What a cell's probability becomes when it is served: element by element, from (probability, known).
+"""Cell classes and palettes: what is served of (probability, known), element by element.
 
 Every encoder here is a `model.Encoder`: hand it to `MapSnapshot.encode`, or call it with two
 arrays of one shape.

@@ -1,4 +1,4 @@
-"""Cells that keep what a model has published of others: blocks of them, for pictures that are shrunk."""
+"""Published cells: they keep what a model has published of others, as blocks in pictures that are shrunk."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What the kernels do to one stored number of a plane: a beam `passed` its cell, or `ended` there.
+"""Cell updates: what kernels do to one stored number of a plane when a beam `passed` its cell, or `ended`.
 
 numba picks the model's arithmetic by the dtype of the plane; plain Python, by the number's class. Kernels
 hand `constants` on without looking. A beam's `length` in the cell and the `weight` of a hit are there for

@@ -1,4 +1,4 @@
-"""Reads the pair of files that ROS 2 nav2 map_server loads: a YAML description, and its picture.
+"""ROS map reader: the pair of files that nav2's map_server loads, a YAML description and its picture.
 
 Cells get the values that nav2_map_server gives them (map_io.cpp, loadMapFromFile, of Humble and Jazzy). Keys
 that it does not know are passed over, as it does. Colours and alpha are refused: its versions disagree about

@@ -1,4 +1,4 @@
-"""YAML into plain values, refusing what YAML libraries silently let through."""
+"""Strict YAML reader: plain values, and errors for what YAML libraries silently let through."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any

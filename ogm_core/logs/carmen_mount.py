@@ -1,4 +1,4 @@
-"""Where a CARMEN log's laser sits on the robot, which its sweeps need once ODOM lines are the robot's poses.
+"""Sensor mount of a CARMEN log's laser, which its sweeps need once ODOM lines are the robot's poses.
 
 CARMEN writes into every sweep the robot's pose, interpolated between its ODOM lines, and the laser's, the
 robot's composed with the mount; and it logs the mount as the parameters robot_frontlaser_offset (m

@@ -1,4 +1,4 @@
-"""A robot's recent poses, and its pose at a time between them. Nothing is extrapolated."""
+"""Pose interpolation: a robot's recent poses, and its pose at a time between. Nothing is extrapolated."""
 
 import math
 from bisect import bisect_left

@@ -1,4 +1,4 @@
-"""Which pose belongs to which scan, in what order, and how often: from messages to the map."""
+"""Pose lookup and order of scans, as tf's message filter does: from messages to the map."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

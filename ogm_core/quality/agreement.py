@@ -1,4 +1,4 @@
-"""How well a finished map explains scans: agreement with those in it, prediction of those held out."""
+"""Agreement of a finished map with scans: with those in it, and prediction of those held out."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""How well a map agrees with the true world, where that is known: a simulated one.
+"""Comparison with ground truth, where that is known: a simulated world.
 
 A cell is truly occupied if the outline of an obstacle meets its closed square, so that a wall on the edge
 between two cells makes both occupied.

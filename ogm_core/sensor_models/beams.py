@@ -1,4 +1,4 @@
-"""From a scan's ranges to beams on the lattice: which count, how far they reach, where they start and end.
+"""Beam end points: which of a scan's ranges count, how far they reach, where on the lattice they end.
 
 Readings follow REP-117; the inverse sensor model is Thrun, Burgard & Fox 2005, table 9.2, along a ray.
 """

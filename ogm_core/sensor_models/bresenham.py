@@ -1,4 +1,4 @@
-"""Traversal `bresenham`: the cells that a beam passes, and what the kernels do with them.
+"""Bresenham's line (traversal `bresenham`): the cells that a beam passes, and the kernels that update them.
 
 Bresenham's line (1965) from the sensor's cell (i0, j0) to the end cell: with M the larger and m the smaller
 of |di|, |dj|, step k = 1 ... M moves one cell along the major axis and stands

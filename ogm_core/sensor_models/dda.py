@@ -1,4 +1,4 @@
-r"""Traversal `dda`: every cell that a beam passes through, one after the other (Amanatides & Woo 1987).
+r"""Exact grid traversal (`dda`): every cell that a beam passes through (Amanatides & Woo 1987).
 
 Each step goes on by one column or by one row, so after t steps both add up to t. The beam is then in the
 cell whose falling diagonal it crosses, at a height x(t) that grows evenly:

@@ -1,4 +1,4 @@
-"""What a placed scan says about which cells: the sensor models behind one face.
+"""Inverse sensor models behind one face: what a placed scan says about which cells.
 
 A scan is read beam by beam (`bresenham`, `dda`) or as sectors (`area_fill`), which come as `spans`. These
 kernels tell which rectangle the updated cells fill, count the tiles that they need, and update them. Only the

@@ -1,4 +1,4 @@
-"""A scan at its sensor's pose, projected onto a map's lattice: the kernels of beams, by name."""
+"""Projection of a placed scan onto a map's lattice: the kernels of `beams`, by name."""
 
 from functools import lru_cache
 from typing import NamedTuple

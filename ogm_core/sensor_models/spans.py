@@ -1,4 +1,4 @@
-"""Cells of one class side by side in a row, and what the kernels do with them.
+"""Row spans: cells of one class side by side in a row, and the kernels that update them.
 
 Spans are int32, shape (n, 4): row, first column, column after the last, class; no cell is in two of them.
 `window` is the contents of a CellRect, `constants` what cells.updates need.

@@ -1,4 +1,4 @@
-"""The floor plan of the built-in world `office`, in the form of a world file (see worlds).
+"""Floor plan of the built-in world `office`, in the form of a world file (see worlds).
 
 30 x 20 m: two corridors joined by a passage at either end and by a lobby, five rooms to the south (y < 6),
 five to the north (y > 14), and four in the core between the corridors.

@@ -1,4 +1,4 @@
-"""A tour for a robot through the free space of a map: closed, and the same for the same map.
+"""Coverage tour of a map's free space for one robot: closed, and the same for the same map.
 
 The free cells that keep clear of all others are thinned out to a graph with one node for a block of cells.
 Viewpoints are spread over it, each the node farthest from those before (Gonzalez 1985). The tour goes from

@@ -1,4 +1,4 @@
-"""The ways that simulated robots drive: closed paths, stepped through pose by pose, round and round."""
+"""Trajectories of simulated robots: closed paths, stepped through pose by pose, round and round."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Copies of a map's tiles that nobody changes any more: each new one copies only what has changed.
+"""Copy-on-write tiles: copies that nobody changes any more, each of which copies only what has changed.
 
     copy of revision 7    copy of revision 8    A copy is a table of tiles, each with a number, and the blocks
     +---+---+---+         +---+---+---+         in which tiles of successive numbers lie. The next copy has a

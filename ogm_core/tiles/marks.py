@@ -1,4 +1,4 @@
-"""Which tiles a scan writes: each keeps the revision of the last one.
+"""Dirty tiles: each keeps the revision of the last scan that wrote it.
 
 `touched`, int64, shape (tiles in x, tiles in y), is that of store.TileStore; 0 stands for never.
 """

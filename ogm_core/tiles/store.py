@@ -1,4 +1,4 @@
-"""Where a map's cells lie in memory: column strips, 64 cells wide.
+"""Tile store: a map's cells in memory, in column strips 64 cells wide.
 
     strip 0        strip 1              A strip holds 64 columns, row after row, so
     +--------+     +--------+

@@ -1,4 +1,4 @@
-"""Cells of a map's snapshot, as copies of tiles: laid out only where somebody asks for them."""
+"""View of copied tiles as planes of a rectangle: laid out only where somebody asks for them."""
 
 import threading
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The Zenoh key expressions of one map, and the names that may stand in them."""
+"""Key expressions of one map on Zenoh, and the names that may stand in them."""
 
 import re
 from dataclasses import dataclass
