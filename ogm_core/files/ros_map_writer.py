@@ -1,4 +1,4 @@
-"""ROS map writer: the pair of files that nav2's map_server loads, a PGM picture and the YAML that places it."""
+"""ROS map writer: the pair that nav2's map_server loads, a PGM picture and the YAML that places it."""
 
 import json
 
