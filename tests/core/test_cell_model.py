@@ -21,6 +21,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
 from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED
+from ogm_core.tiles import store as store_module
 from ogm_core.types import PlacedScan, Pose, Scan
 
 PASSED, ENDED = "passed", "ended"
@@ -152,6 +153,21 @@ def test_planes_and_probabilities_are_the_twins(changes):
             assert known[j, i] == (of_twin is not None)
             assert p[j, i] == pytest.approx(0.5 if of_twin is None else of_twin, abs=1e-15)
     assert snapshot.known_cells == np.count_nonzero(known)
+
+
+def test_growth_moves_all_planes(monkeypatch):
+    monkeypatch.setattr(store_module, "_FIRST_ROOM", 0)
+    moved = []
+    take = store_module.TileStore.take
+    monkeypatch.setattr(
+        store_module.TileStore,
+        "take",
+        lambda self, other: (moved.append(other.tiles_used), take(self, other)),
+    )
+    grid, twin = maps()
+    assert sum(used > 0 for used in moved) >= 3
+    stored, expected = grid.snapshot().stored.planes(), twin.planes(grid.rect)
+    assert all(np.array_equal(stored[name], expected[name]) for name in expected)
 
 
 def test_order_does_not_matter():
