@@ -19,7 +19,7 @@ from PIL import Image
 from ogm_client import MapClient
 from ogm_core.errors import OgmError
 from ogm_services.mapper.service import LIVE_MAP
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 PICTURE = Path(__file__).with_name("page.png")
 SCANS = 2600

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[2]
 SCANS = 3

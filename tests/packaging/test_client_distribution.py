@@ -16,7 +16,7 @@ from pathlib import Path
 import grimp
 import pytest
 
-from ogm_services.settings.settings import without_settings
+from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / "clients"
