@@ -74,7 +74,7 @@ def observed(scan, pose, settings):
 
 def evidence(start, end, hit, line, traversal="bresenham"):
     """(cell, occupied?) for every cell that the beam updates, in order."""
-    path = bresenham(*start, *end) if traversal == "bresenham" else list(crossed(*map(Fraction, line)))
+    path = bresenham(*start, *end) if traversal == "bresenham" else list(crossed(*line))
     path = [cell for cell in path if cell not in (start, end)]
     for cell in path:
         yield cell, False
@@ -158,24 +158,36 @@ def logit(p):
     return math.log(p / (1 - p))
 
 
+def scaled(*values):
+    """Numbers as integers: exactly their multiples of one unit, 1 / scale; (scale, integers)."""
+    ratios = [value.as_integer_ratio() for value in values]
+    scale = math.lcm(*(denominator for _, denominator in ratios))
+    return scale, [numerator * (scale // denominator) for numerator, denominator in ratios]
+
+
 def crossed(u0, v0, u1, v1):
     """Cells that a segment crosses, with the length inside each, in exact arithmetic: {cell: length squared}.
 
-    Coordinates are Fractions, in cells. The segment is cut at every grid line that it crosses; a piece lies
-    in the cell that holds its midpoint.
+    Coordinates are in cells: floats, or Fractions. The segment is cut at every grid line that it crosses; a
+    piece lies in the cell that holds its midpoint. Every number is an integer: coordinates in units of
+    1 / scale, and how far along the segment a cut is in units of 1 / end.
     """
+    scale, (u0, v0, u1, v1) = scaled(u0, v0, u1, v1)
     du, dv = u1 - u0, v1 - v0
-    cuts = {Fraction(0), Fraction(1)}
+    end = (abs(du) or 1) * (abs(dv) or 1)
+    twice_u, twice_v, one = 2 * end * u0, 2 * end * v0, 2 * end * scale
+    squared, unit_squared = du * du + dv * dv, (end * scale) ** 2
+    cuts = {0, end}
     for start, d in ((u0, du), (v0, dv)):
         if d:
             low, high = sorted((start, start + d))
-            cuts.update((line - start) / d for line in range(math.ceil(low), math.floor(high) + 1))
+            lines = range(-(-low // scale), high // scale + 1)
+            cuts.update((line * scale - start) * (end // d) for line in lines)
     found = {}
     for t0, t1 in pairwise(sorted(cuts)):
-        middle = (t0 + t1) / 2
-        cell = math.floor(u0 + middle * du), math.floor(v0 + middle * dv)
+        cell = (twice_u + (t0 + t1) * du) // one, (twice_v + (t0 + t1) * dv) // one
         # A segment along a grid line crosses one cell only, the one that holds it.
-        found[cell] = (t1 - t0) ** 2 * (du * du + dv * dv)
+        found[cell] = Fraction((t1 - t0) ** 2 * squared, unit_squared)
     return found
 
 
@@ -183,17 +195,19 @@ def near(cell, u0, v0, u1, v1, slack):
     """Whether a segment comes within `slack` of a cell's closed square, in exact arithmetic.
 
     The segment is clipped to the square grown by the slack (Liang & Barsky 1984): at its corners that is up
-    to 1.42 slack away.
+    to 1.42 slack away. Every number is an integer, as in `crossed`.
     """
-    i, j = cell
-    first, last = Fraction(0), Fraction(1)
-    for start, d, low in ((u0, u1 - u0, i), (v0, v1 - v0, j)):
-        near_edge, far_edge = low - slack - start, low + 1 + slack - start
+    scale, (u0, v0, u1, v1, slack) = scaled(u0, v0, u1, v1, slack)
+    du, dv = u1 - u0, v1 - v0
+    end = (abs(du) or 1) * (abs(dv) or 1)
+    first, last = 0, end
+    for start, d, low in ((u0, du, cell[0] * scale), (v0, dv, cell[1] * scale)):
+        near_edge, far_edge = low - slack - start, low + scale + slack - start
         if d == 0:
             if not near_edge <= 0 <= far_edge:
                 return False
             continue
-        t0, t1 = sorted((near_edge / d, far_edge / d))
+        t0, t1 = sorted((near_edge * (end // d), far_edge * (end // d)))
         first, last = max(first, t0), min(last, t1)
     return first <= last
 
