@@ -8,8 +8,11 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.run $(VENV)/.kernels
 	@$(BIN)/ogm demo $(ARGS)
 
+# One process a core, each with files of its own; the services' many short files come last, so that all end together.
+PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+
 test: $(VENV)/.dev $(VENV)/.kernels
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
 coverage: $(VENV)/.dev
@@ -69,7 +72,7 @@ KERNELS := $(wildcard ogm_core/*.py ogm_core/*/*.py)
 
 # numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
 $(VENV)/.kernels: $(KERNELS) | $(BIN)/python
-	@rm -f ogm_core/__pycache__/*.nb? ogm_core/*/__pycache__/*.nb?
+	@rm -rf ogm_core/__pycache__/*.nb? ogm_core/*/__pycache__/*.nb? build/kernels
 	@touch $@
 
 $(BIN)/python:

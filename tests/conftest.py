@@ -7,6 +7,16 @@ from pathlib import Path
 import pytest
 
 
+def pytest_configure(config):
+    """Give every process of `pytest -n` a folder of its own for kernels, which numba compiles once into it.
+
+    Two that save one kernel for different types at once may leave either's code under the other's name: numba
+    picks the file's number before it writes.
+    """
+    if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+        os.environ["NUMBA_CACHE_DIR"] = str(config.rootpath / "build" / "kernels" / worker)
+
+
 @pytest.fixture
 def endpoint():
     """A Zenoh endpoint on loopback that nobody listens on."""
