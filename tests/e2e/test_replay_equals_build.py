@@ -148,9 +148,9 @@ def test_without_a_mapper_it_says_what_to_check(ogm, lab_log, idle_mapper, endpo
 def test_a_mapper_that_dies_midway_is_a_failure(ogm, lab_log, eventually):
     mapper = ogm.ready(ogm.mapper())
     replay = replayed(ogm, lab_log, mapper, "--speed", "2")
-    eventually(lambda: mapper.status()["revision"] > 10, 20)
+    eventually(lambda: mapper.status()["revision"] > 10)
     mapper.command.stop(signal.SIGKILL)
-    assert "no mapper of map 'default' answered" in replay.wait(5.0).complaint(1)
+    assert "no mapper of map 'default' answered" in replay.wait().complaint(1)
 
 
 def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
@@ -174,6 +174,6 @@ def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
 def test_an_interrupted_replay_is_not_a_success(ogm, lab_log, eventually):
     mapper = ogm.ready(ogm.mapper())
     replay = replayed(ogm, lab_log, mapper, "--speed", "1")
-    eventually(lambda: mapper.status()["revision"] > 0, 20)
+    eventually(lambda: mapper.status()["revision"] > 0)
     ended = replay.stop(signal.SIGINT)
     assert (ended.code, ended.out, ended.err) == (130, "", "")

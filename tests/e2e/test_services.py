@@ -78,12 +78,12 @@ def test_get(ogm, mapper, lab_recording, assert_equal_maps):
 
 def test_a_killed_simulator_starts_again_and_is_mapped(ogm, mapper, eventually):
     first = simulator(ogm, mapper)
-    eventually(lambda: mapper.status()["revision"] > 10, 20)
+    eventually(lambda: mapper.status()["revision"] > 10)
     first.stop(signal.SIGKILL)
     before = eventually(lambda: (book := source(mapper))["pending"] == 0 and book)
     second = simulator(ogm, mapper)
     after = eventually(
-        lambda: (book := source(mapper))["run"] != before["run"] and book["last_seq"] > 10 and book, 20
+        lambda: (book := source(mapper))["run"] != before["run"] and book["last_seq"] > 10 and book
     )
     assert second.stop().code == 0
     assert after["run"]
@@ -95,10 +95,10 @@ def test_a_killed_simulator_starts_again_and_is_mapped(ogm, mapper, eventually):
 
 def test_a_simulator_outlives_its_mapper(ogm, mapper, eventually):
     robot = simulator(ogm, mapper)
-    eventually(lambda: mapper.status()["revision"] > 3, 20)
+    eventually(lambda: mapper.status()["revision"] > 3)
     mapper.command.stop(signal.SIGKILL)
     again = ogm.ready(ogm.start("mapper", "--http-port", "0", "--listen", mapper.endpoint))
-    eventually(lambda: again.status()["revision"] > 3, 20)
+    eventually(lambda: again.status()["revision"] > 3)
     ended = robot.stop()
     assert (ended.code, ended.err) == (0, "")
 
@@ -106,7 +106,7 @@ def test_a_simulator_outlives_its_mapper(ogm, mapper, eventually):
 @pytest.mark.parametrize("number", STOPS)
 def test_services_stop_while_scans_stream_and_clients_hang_on(ogm, mapper, eventually, number):
     robot = simulator(ogm, mapper, "--rate", "100", "--robots", "3")
-    eventually(lambda: mapper.status()["revision"] > 50, 20)
+    eventually(lambda: mapper.status()["revision"] > 50)
     address = urlsplit(mapper.url)
     with ExitStack() as open_sockets:
         clients = [
@@ -128,7 +128,7 @@ def test_services_stop_while_scans_stream_and_clients_hang_on(ogm, mapper, event
 @pytest.mark.parametrize("number", STOPS)
 def test_more_signals_change_nothing(ogm, mapper, eventually, number):
     robot = simulator(ogm, mapper)
-    eventually(lambda: mapper.status()["revision"] > 3, 20)
+    eventually(lambda: mapper.status()["revision"] > 3)
     for service in (robot, mapper.command):
         while service.process.poll() is None:
             service.process.send_signal(number)
@@ -170,7 +170,7 @@ def test_without_a_mapper_every_command_says_what_to_check(ogm, endpoint):
             ogm.start("simulate", "--connect", endpoint): endpoint,
         }
         for command, address in commands.items():
-            complaint = command.wait(10.0).complaint(1)
+            complaint = command.wait().complaint(1)
             assert address in complaint
             assert "mapper` running there" in complaint or "is a mapper running there" in complaint
     assert not (ogm.folder / "map.png").exists()

@@ -25,7 +25,7 @@ DOCKER = ROOT / "docker"
 LEFT_OUT = ("groupadd", "useradd", "chown")
 STEP = 600.0
 """How long one RUN may take, s: it may download half a gigabyte."""
-STOPPED = 10.0
+STOPPED = 30.0
 
 
 @dataclass(frozen=True)

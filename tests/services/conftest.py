@@ -21,7 +21,8 @@ from ogm_services.settings.settings import Settings
 
 MAP_NAME = "hall"
 T0 = 1_700_000_000_000_000_000
-SETTLED = 10.0
+SETTLED = 30.0
+"""How long an answer and what is to be integrated may take on a busy machine, s."""
 
 
 @dataclass

@@ -193,16 +193,16 @@ def test_consistency_is_that_of_the_last_hundred_scans(live, clock):
 
 
 @pytest.mark.parametrize("settings", MADE, ids=["int16", "float64", "bounds"])
-def test_readers_get_whole_maps_while_it_is_written(settings):
+def test_readers_get_whole_maps_while_it_is_written(settings, eventually):
     steps = [(scan(1.0 + step % 7 / 2, step), Pose(step / 4, step % 3 / 2, step / 9)) for step in range(150)]
     twin = OccupancyGrid(settings, "first")
     maps = {0: twin.snapshot()}
     for each in steps:
         twin.integrate(*each)
         maps[twin.revision] = twin.snapshot()
-    live, done, seen, wrong = LiveMap(OccupancyGrid(settings, "first")), threading.Event(), set(), []
+    live, done, wrong = LiveMap(OccupancyGrid(settings, "first")), threading.Event(), []
 
-    def read():
+    def read(seen):
         last = 0
         while not done.is_set():
             snapshot = live.snapshot()
@@ -215,18 +215,19 @@ def test_readers_get_whole_maps_while_it_is_written(settings):
             seen.add(last)
             live.quality()
 
-    readers = [threading.Thread(target=read) for _ in range(3)]
+    views = [set() for _ in range(3)]
+    readers = [threading.Thread(target=read, args=(seen,)) for seen in views]
     for reader in readers:
         reader.start()
     for count, each in enumerate(steps):
         live.integrate(*each)
-        if count % 10 == 9:
-            done.wait(0.005)
+        if count % 10 == 9:  # all go on beside the next ten, from wherever they are
+            eventually(lambda now=count + 1: wrong or all(now in seen for seen in views))
     done.set()
     for reader in readers:
-        reader.join(10.0)
+        reader.join(30.0)
     assert wrong == []
-    assert len(seen) > 5
+    assert all(len(seen) >= 15 for seen in views)
     assert live.snapshot().cells.tobytes() == maps[150].cells.tobytes()
 
 

@@ -94,7 +94,7 @@ def test_waiting_scans_are_given_up_while_other_robots_keep_the_mapper_busy(soun
         sound.pose(robot="busy", at=next(stamps))
         return sound.status()["scans"]["dropped"]["no_pose"] == 1
 
-    eventually(given_up, timeout=3.0)
+    eventually(given_up)
 
 
 def test_waiting_scans_stay_while_their_robot_is_heard(start_mapper, no_errors, eventually):

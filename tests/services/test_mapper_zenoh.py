@@ -14,7 +14,7 @@ META = ["epoch", "revision", "stamp", "resolution", "width", "height", "origin",
 
 def alive(session, pattern="ogm/v1/*/alive/mapper/*/*"):
     """Tokens of the mappers that are alive."""
-    return {str(reply.ok.key_expr) for reply in session.liveliness().get(pattern, timeout=5.0)}
+    return {str(reply.ok.key_expr) for reply in session.liveliness().get(pattern, timeout=30.0)}
 
 
 def told(reply):
@@ -135,7 +135,7 @@ def test_a_query_that_fails_is_told_why(cross, key, parameters, status, kind, na
 @pytest.mark.parametrize("pattern", ["ogm/v1/hall/*", "ogm/v1/*/*", "ogm/v1/hall/**", "ogm/**"])
 def test_a_wildcard_is_answered_on_concrete_keys_and_resets_nothing(cross, pattern):
     before = cross.status()["epoch"]
-    replies = list(cross.session.get(pattern, timeout=5.0))
+    replies = list(cross.session.get(pattern, timeout=30.0))
     answers = {str(reply.ok.key_expr): reply.ok for reply in replies if reply.ok is not None}
     assert set(answers) == {"ogm/v1/hall/map", "ogm/v1/hall/quality", "ogm/v1/hall/status"}
     assert answers["ogm/v1/hall/map"].payload.to_bytes() == cross.http.get("/map.json").content
@@ -238,14 +238,14 @@ def test_mappers_of_other_maps_live_side_by_side(mapper, start_mapper):
         assert other.settle(received=1)["map"] == "hall2"
         assert len(alive(mapper.session)) == 2
         assert len(alive(mapper.session, "ogm/v1/hall/alive/mapper/*/*")) == 1
-        keys = {str(r.ok.key_expr) for r in mapper.session.get("ogm/v1/*/status", timeout=5.0)}
+        keys = {str(r.ok.key_expr) for r in mapper.session.get("ogm/v1/*/status", timeout=30.0)}
         assert keys == {"ogm/v1/hall/status", "ogm/v1/hall2/status"}
     assert mapper.settle(received=3)["revision"] == 3
 
 
 def test_queryables_do_not_claim_to_be_complete(cross):
     replies = list(
-        cross.session.get("ogm/v1/hall/status", target=zenoh.QueryTarget.ALL_COMPLETE, timeout=5.0)
+        cross.session.get("ogm/v1/hall/status", target=zenoh.QueryTarget.ALL_COMPLETE, timeout=30.0)
     )
     assert replies == []
 

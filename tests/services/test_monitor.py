@@ -103,12 +103,12 @@ def test_while_it_waits_for_the_network_the_map_is_written_and_read(watched, eve
 
     def ask():
         waiting.set()
-        assert answered.wait(10.0)
+        assert answered.wait(30.0)
         return []
 
     slow = Monitor(watched.live)
     slow.start(ask)
-    assert waiting.wait(10.0)
+    assert waiting.wait(30.0)
     watched.scan()
     assert watched.live.quality(slow.truth.world)["scans"] == 1
     answered.set()
