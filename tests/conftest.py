@@ -14,13 +14,16 @@ GIVEN_UP = 30.0
 
 
 def pytest_configure(config):
-    """Give every process of `pytest -n` a folder of its own for kernels, which numba compiles once into it.
+    """Give every process of `pytest -n`, and what it starts, a folder of its own for compiled kernels.
 
     Two that save one kernel for different types at once may leave either's code under the other's name: numba
-    picks the file's number before it writes.
+    picks the file's number before it writes. The folder is the one that `ogm` would use below the worker's.
     """
     if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-        os.environ["NUMBA_CACHE_DIR"] = str(config.rootpath / "build" / "kernels" / worker)
+        from ogm_services.runtime import kernel_cache  # imports no numba, which reads the variable only once
+
+        kernels = config.rootpath / "build" / "kernels" / worker / kernel_cache._of_these_sources()
+        os.environ[kernel_cache.VARIABLE] = str(kernels)
 
 
 @pytest.fixture
@@ -45,10 +48,11 @@ def eventually():
     """`eventually(condition)` returns the condition's value once it is true; fails after a deadline, s."""
 
     def wait(condition, timeout=GIVEN_UP):
-        deadline = time.monotonic() + timeout
+        deadline, pause = time.monotonic() + timeout, 0.001
         while not (value := condition()):
             assert time.monotonic() < deadline, f"not within {timeout} s"
-            time.sleep(0.002)
+            time.sleep(pause)
+            pause = min(2 * pause, 0.05)  # to ask more often would slow down what is waited for
         return value
 
     return wait

@@ -51,7 +51,7 @@ def count(path, colour):
 
 def test_the_lab_as_the_textbook_has_it(ogm, lab_recording):
     flags = ("--preset", "lab", "--world", "lab")
-    ended = ogm.run("build", lab_recording, "--out", "built", *flags, "--figure", "lab.png")
+    ended = ogm.call("build", lab_recording, "--out", "built", *flags, "--figure", "lab.png")
     assert (ended.code, ended.err) == (0, "")
     figures = truth_of(ogm, "built")
     assert tuple(figures) == FIGURES
@@ -75,12 +75,12 @@ def test_the_lab_as_the_textbook_has_it(ogm, lab_recording):
 
 def test_a_world_file_and_an_unbounded_map_of_two_robots(ogm):
     ogm.file("hall.yaml", HALL)
-    simulated = ogm.run(
+    simulated = ogm.call(
         "simulate", "--world", "hall.yaml", "--robots", 2, "--scans", 40, "--seed", 2, "--out", "hall.jsonl"
     )
     assert simulated.code == 0
     flags = ("--world", "hall.yaml", "--figure", "built/hall.png")
-    ended = ogm.run("build", "hall.jsonl", "--out", "built", *flags, "--hold-out", 4)
+    ended = ogm.call("build", "hall.jsonl", "--out", "built", *flags, "--hold-out", 4)
     assert (ended.code, ended.err) == (0, "")
     assert "built: against the true world hall: accuracy 0.9" in ended.out
     figures = truth_of(ogm, "built")
@@ -96,7 +96,7 @@ def test_a_world_file_and_an_unbounded_map_of_two_robots(ogm):
 
 
 def test_without_a_world_there_is_no_truth(ogm, lab_recording):
-    ended = ogm.run("build", lab_recording, "--out", "built", "--figure", "lab.svg", "--resolution", 0.2)
+    ended = ogm.call("build", lab_recording, "--out", "built", "--figure", "lab.svg", "--resolution", 0.2)
     assert ended.code == 0
     assert ended.out == "built: 220 scans read, 220 integrated\n"
     assert "truth" not in json.loads((ogm.folder / "built" / "quality.json").read_text())
@@ -116,7 +116,6 @@ def test_what_is_wrong_is_said_before_the_log_is_read_and_nothing_is_written(ogm
         ("--figure", "nowhere/lab.png"): "--figure nowhere/lab.png: cannot be written: No such file",
         ("--figure", "built/map.png"): "--figure built/map.png: the map's own picture has that name",
     }
-    builds = {flags: ogm.start("build", "missing.jsonl", "--out", "built", *flags) for flags in expected}
     without = ogm.start(
         "build", "missing.jsonl", "--out", "built", "--figure", "lab.png", PYTHONPATH=str(ogm.folder / "stub")
     )
@@ -124,7 +123,8 @@ def test_what_is_wrong_is_said_before_the_log_is_read_and_nothing_is_written(ogm
         "build", "missing.jsonl", "--out", "built", "--figure", "lab.png", MPLBACKEND="nothing"
     )
     for flags, text in expected.items():
-        assert builds[flags].wait().complaint(2).startswith(f"ogm: {text}")
+        build = ogm.call("build", "missing.jsonl", "--out", "built", *flags)
+        assert build.complaint(2).startswith(f"ogm: {text}")
     assert without.wait().complaint(2) == "ogm: --figure needs matplotlib: install zenoh-ogm[plot]\n"
     assert "matplotlib does not accept its own settings: Key backend" in unsettled.wait().complaint(2)
     assert sorted(path.name for path in ogm.folder.iterdir()) == ["empty.yaml", "stub"]
@@ -132,6 +132,6 @@ def test_what_is_wrong_is_said_before_the_log_is_read_and_nothing_is_written(ogm
 
 def test_a_log_that_gives_no_map_gives_no_figure_either(ogm):
     ogm.file("empty.jsonl", "")
-    ended = ogm.run("build", "empty.jsonl", "--out", "built", "--world", "lab", "--figure", "built/lab.png")
+    ended = ogm.call("build", "empty.jsonl", "--out", "built", "--world", "lab", "--figure", "built/lab.png")
     assert "holds no scan" in ended.complaint(2)
     assert [path.name for path in ogm.folder.iterdir()] == ["empty.jsonl"]

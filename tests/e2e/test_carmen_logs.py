@@ -50,12 +50,11 @@ def is_scan(message):
 def maps(module_ogm, carmen_log, lab_recording):
     """Maps by name: of the recording, and of the CARMEN log by its laser's poses and by its ODOM lines."""
     builds = {
-        "recorded": module_ogm.start("build", lab_recording, "--out", "recorded"),
-        "laser": module_ogm.start("build", carmen_log, "--out", "laser"),
-        "odometry": module_ogm.start("build", carmen_log, "--odometry", "--out", "odometry"),
+        "recorded": module_ogm.call("build", lab_recording, "--out", "recorded"),
+        "laser": module_ogm.call("build", carmen_log, "--out", "laser"),
+        "odometry": module_ogm.call("build", carmen_log, "--odometry", "--out", "odometry"),
     }
-    for name, build in builds.items():
-        ended = build.wait()
+    for name, ended in builds.items():
         assert (ended.code, ended.err) == (0, "")
         assert f"{name}: 220 scans read, 220 integrated" in ended.out
         assert ended.out.endswith("\n" if name == "recorded" else ", not read: 220 RLASER\n")
@@ -77,7 +76,7 @@ def test_odometry_and_mount_put_the_laser_where_it_was(maps):
 def test_a_replay_by_odometry_gives_the_map_of_the_build(module_ogm, carmen_log, maps, assert_equal_maps):
     mapper = module_ogm.ready(module_ogm.mapper())
     flags = ("--odometry", "--robot", "r7", "--speed", "max", "--connect", mapper.endpoint)
-    ended = module_ogm.run("replay", carmen_log, *flags)
+    ended = module_ogm.call("replay", carmen_log, *flags)
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.endswith("220 scans sent, 220 integrated, not read: 220 RLASER\n")
     assert_equal_maps(mapper.map(), maps["odometry"])
@@ -91,10 +90,10 @@ def test_what_gives_no_map_is_said_and_nothing_is_written(ogm, carmen_log, lab_r
         (ogm.folder / name).write_bytes(b"\n".join(lines))
     out = ("--out", "built")
     commands = {
-        "sweeps.log: --odometry: no ODOM line to take": ogm.start("build", "sweeps.log", "--odometry", *out),
-        f"{lab_recording}: --odometry is for CARMEN": ogm.start("replay", lab_recording, "--odometry"),
-        "poses.log: holds no scan; found are 220 ODOM, 220 RLASER": ogm.start("build", "poses.log", *out),
+        "sweeps.log: --odometry: no ODOM line to take": ogm.call("build", "sweeps.log", "--odometry", *out),
+        f"{lab_recording}: --odometry is for CARMEN": ogm.call("replay", lab_recording, "--odometry"),
+        "poses.log: holds no scan; found are 220 ODOM, 220 RLASER": ogm.call("build", "poses.log", *out),
     }
-    for complaint, command in commands.items():
-        assert command.wait().complaint(2).startswith(f"ogm: {complaint}")
+    for complaint, ended in commands.items():
+        assert ended.complaint(2).startswith(f"ogm: {complaint}")
     assert not (ogm.folder / "built").exists()

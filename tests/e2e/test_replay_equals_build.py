@@ -49,14 +49,14 @@ def intel_log(intel):
 
 
 def built(ogm, log, name="built"):
-    """A running build; `built_map` reads what it made."""
-    return ogm.start("build", log.path, "--out", name, *log.log_flags, *log.map_flags)
+    """How a build ended; `ogm.map` reads what it made."""
+    return ogm.call("build", log.path, "--out", name, *log.log_flags, *log.map_flags)
 
 
-def replayed(ogm, log, mapper, *flags):
-    """A running replay."""
+def replayed(command, log, mapper, *flags):
+    """A replay by `ogm.start`, `run` or `call`."""
     flags = flags or ("--speed", "max")
-    return ogm.start("replay", log.path, "--connect", mapper.endpoint, *log.log_flags, *flags)
+    return command("replay", log.path, "--connect", mapper.endpoint, *log.log_flags, *flags)
 
 
 @pytest.mark.parametrize("name", ["lab_log", "lab_preset_log", "rough_log", "intel_log"])
@@ -65,12 +65,11 @@ def test_replayed_and_built_maps_are_equal(ogm, assert_equal_maps, request, name
     starting = [ogm.mapper(*log.map_flags) for _ in range(2)]
     build = built(ogm, log)
     mappers = [ogm.ready(command) for command in starting]
-    replays = [replayed(ogm, log, mapper) for mapper in mappers]
-    assert (build.wait().code, build.wait().err) == (0, "")
+    replays = [replayed(run, log, mapper) for run, mapper in zip((ogm.run, ogm.call), mappers, strict=True)]
+    assert (build.code, build.err) == (0, "")
     expected = ogm.map("built/map.npz")
     integrated = log.scans - sum(log.dropped.values())
-    for mapper, replay in zip(mappers, replays, strict=True):
-        ended = replay.wait()
+    for mapper, ended in zip(mappers, replays, strict=True):
         assert (ended.code, ended.err) == (0, "")
         assert f"{log.scans} scans sent, {integrated} integrated" in ended.out
         for reason, count in log.dropped.items():
@@ -85,12 +84,11 @@ def test_replayed_and_built_maps_are_equal(ogm, assert_equal_maps, request, name
 def test_a_log_replayed_twice_is_mapped_twice(ogm, lab_log, assert_equal_maps):
     twice = lab_log.path.read_text()
     ogm.file("twice.jsonl", twice + twice.replace('"run":"seed-1"', '"run":"again"'))
-    build = ogm.start("build", "twice.jsonl", "--out", "built")
+    assert ogm.call("build", "twice.jsonl", "--out", "built").code == 0
     mapper = ogm.ready(ogm.mapper())
     for count in (220, 440):
-        assert replayed(ogm, lab_log, mapper).wait().code == 0
+        assert replayed(ogm.call, lab_log, mapper).code == 0
         assert mapper.status()["revision"] == count
-    assert build.wait().code == 0
     assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
 
 
@@ -98,12 +96,12 @@ def test_a_log_is_replayed_at_its_own_pace(ogm, lab_log, assert_equal_maps):
     starting, build = ogm.mapper(), built(ogm, lab_log)
     mapper = ogm.ready(starting)
     for count, speed in ((220, 50), (440, 5)):
-        ended = replayed(ogm, lab_log, mapper, "--speed", speed).wait()
+        ended = replayed(ogm.call, lab_log, mapper, "--speed", speed)
         assert (ended.code, ended.err) == (0, "")
         assert ended.seconds > LAP / speed
         assert mapper.status()["revision"] == count
         if count == 220:
-            assert build.wait().code == 0
+            assert build.code == 0
             assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
 
 
@@ -113,7 +111,7 @@ def test_malformed_lines_are_reported(ogm, lab_log):
         "bad.jsonl", "\n".join([lines[0], "{", *lines[1:9], '{"type": "scan"}', *lines[9:20], "x" * 9999])
     )
     mapper = ogm.ready(ogm.mapper())
-    ended = ogm.run("replay", "bad.jsonl", "--connect", mapper.endpoint, "--speed", "max", "--robot", "r7")
+    ended = ogm.call("replay", "bad.jsonl", "--connect", mapper.endpoint, "--speed", "max", "--robot", "r7")
     assert (ended.code, ended.err) == (0, "")
     assert "10 scans sent, 10 integrated, 3 malformed lines passed over (line 2: not JSON" in ended.out
     assert "line 11: robot: missing" in ended.out
@@ -129,25 +127,24 @@ def test_a_bad_log_is_bad_input_and_nothing_is_sent(ogm, lab_log, idle_mapper):
     ogm.file("poses.jsonl", lab_log.path.read_text().splitlines()[0])
     ogm.file("empty.jsonl", "")
     logs = ["missing.jsonl", "cut.jsonl.gz", "poses.jsonl", "empty.jsonl"]
-    replays = [ogm.start("replay", name, "--connect", idle_mapper.endpoint) for name in logs]
-    for name, replay in zip(logs, replays, strict=True):
-        assert name in replay.wait().complaint(2)
+    for name in logs:
+        assert name in ogm.call("replay", name, "--connect", idle_mapper.endpoint).complaint(2)
     assert idle_mapper.status()["poses"]["received"] == idle_mapper.status()["scans"]["received"] == 0
 
 
 def test_without_a_mapper_it_says_what_to_check(ogm, lab_log, idle_mapper, endpoint):
-    nobody = ogm.start("replay", lab_log.path, "--connect", endpoint)
-    other_map = ogm.start("replay", lab_log.path, "--connect", idle_mapper.endpoint, "--map", "hall")
-    complaint = nobody.wait().complaint(1)
+    nobody = ogm.run("replay", lab_log.path, "--connect", endpoint)
+    other_map = ogm.call("replay", lab_log.path, "--connect", idle_mapper.endpoint, "--map", "hall")
+    complaint = nobody.complaint(1)
     assert endpoint in complaint
     assert "ogm mapper" in complaint
-    assert "no mapper of map 'hall'" in other_map.wait().complaint(1)
+    assert "no mapper of map 'hall'" in other_map.complaint(1)
     assert idle_mapper.status()["poses"]["received"] == 0
 
 
 def test_a_mapper_that_dies_midway_is_a_failure(ogm, lab_log, eventually):
     mapper = ogm.ready(ogm.mapper())
-    replay = replayed(ogm, lab_log, mapper, "--speed", "2")
+    replay = replayed(ogm.start, lab_log, mapper, "--speed", "2")
     eventually(lambda: mapper.status()["revision"] > 10)
     mapper.command.stop(signal.SIGKILL)
     assert "no mapper of map 'default' answered" in replay.wait().complaint(1)
@@ -161,7 +158,7 @@ def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
     }  # fmt: skip
     ogm.file("big.jsonl", "\n".join(json.dumps({**scan, "stamp": k, "seq": k}) for k in range(20)))
     mapper = ogm.ready(ogm.mapper(OGM_MAPPER__QUEUE="1"))
-    ended = ogm.run("replay", "big.jsonl", "--connect", mapper.endpoint, "--speed", "max")
+    ended = ogm.call("replay", "big.jsonl", "--connect", mapper.endpoint, "--speed", "max")
     scans = mapper.status()["scans"]
     assert scans["dropped"]["overload"] > 0
     assert scans["integrated"] + scans["dropped"]["overload"] == scans["received"] == 20
@@ -173,7 +170,7 @@ def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
 
 def test_an_interrupted_replay_is_not_a_success(ogm, lab_log, eventually):
     mapper = ogm.ready(ogm.mapper())
-    replay = replayed(ogm, lab_log, mapper, "--speed", "1")
+    replay = replayed(ogm.start, lab_log, mapper, "--speed", "1")
     eventually(lambda: mapper.status()["revision"] > 0)
     ended = replay.stop(signal.SIGINT)
     assert (ended.code, ended.out, ended.err) == (130, "", "")

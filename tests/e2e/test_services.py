@@ -34,22 +34,25 @@ def test_by_hand(ogm, mapper, eventually):
     assert (ended.code, ended.err) == (0, "")
     assert ended.out == "robot1, robot2 in lab: 20 scans a second each\n"
     eventually(lambda: mapper.status()["revision"] == 40)
-    asked = [ogm.start("status", "--json", "--url", url) for url in (mapper.url, mapper.endpoint)]
-    table = ogm.start("status", "--url", mapper.endpoint)
+    asked = [
+        ask("status", "--json", "--url", url)
+        for ask, url in ((ogm.run, mapper.url), (ogm.call, mapper.endpoint))
+    ]
+    table = ogm.call("status", "--url", mapper.endpoint)
     expected = mapper.status()
     # The known cells may be of a moment ago, and so of different moments.
     known = expected["map_info"].pop("known_cells")
-    for command in asked:
-        assert command.wait().code == 0
-        found = json.loads(command.wait().out)
+    for ended in asked:
+        assert ended.code == 0
+        found = json.loads(ended.out)
         assert found["map_info"].pop("known_cells") == pytest.approx(known, rel=0.5)
         assert found == {**expected, "uptime_s": pytest.approx(expected["uptime_s"], abs=10)}
     assert expected["robots"].keys() == {"robot1", "robot2"}
-    assert "40 received, 40 integrated, 0 pending" in table.wait().out
+    assert "40 received, 40 integrated, 0 pending" in table.out
 
 
 def test_get(ogm, mapper, lab_recording, assert_equal_maps):
-    assert ogm.run("replay", lab_recording, "--speed", "max", "--connect", mapper.endpoint).code == 0
+    assert ogm.call("replay", lab_recording, "--speed", "max", "--connect", mapper.endpoint).code == 0
     wanted = [
         ("map.png", "map.png", mapper.endpoint),
         ("map.npz", "map.npz", mapper.url),
@@ -57,11 +60,14 @@ def test_get(ogm, mapper, lab_recording, assert_equal_maps):
         ("map.yaml", "X.yaml", mapper.endpoint),
         ("map.yaml", "Y.yaml", mapper.url),
     ]
-    getting = [ogm.start("get", name, "-o", out, "--url", url) for name, out, url in wanted]
-    printed = ogm.start("get", "status", "-o", "-", "--url", mapper.url)
-    refused = ogm.start("get", "map.png?region=1,1,0,0", "-o", "no.png", "--url", mapper.endpoint)
-    for get in getting:
-        assert (get.wait().code, get.wait().out, get.wait().err) == (0, "", "")
+    runs = [ogm.run, *[ogm.call] * (len(wanted) - 1)]
+    getting = [
+        run("get", name, "-o", out, "--url", url) for run, (name, out, url) in zip(runs, wanted, strict=True)
+    ]
+    printed = ogm.run("get", "status", "-o", "-", "--url", mapper.url)
+    refused = ogm.call("get", "map.png?region=1,1,0,0", "-o", "no.png", "--url", mapper.endpoint)
+    for ended in getting:
+        assert (ended.code, ended.out, ended.err) == (0, "", "")
     assert (ogm.folder / "map.png").read_bytes() == mapper.get("map.png")
     assert (ogm.folder / "map.json").read_bytes() == mapper.get("map.json?region=-1,-1,1,1")
     assert_equal_maps(ogm.map("map.npz"), mapper.map())
@@ -71,8 +77,8 @@ def test_get(ogm, mapper, lab_recording, assert_equal_maps):
         assert fields["origin"][:2] == mapper.map()["origin"].tolist()
         with Image.open(ogm.folder / f"{name}.pgm") as pgm, Image.open(ogm.folder / "map.png") as png:
             assert np.array_equal(np.asarray(pgm), np.asarray(png))
-    assert json.loads(printed.wait().out)["revision"] == 220
-    assert "region" in refused.wait().complaint(2)
+    assert json.loads(printed.out)["revision"] == 220
+    assert "region" in refused.complaint(2)
     assert not (ogm.folder / "no.png").exists()
 
 
@@ -163,48 +169,48 @@ def test_without_a_mapper_every_command_says_what_to_check(ogm, endpoint):
         unused.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{unused.getsockname()[1]}"
         commands = {
-            ogm.start("get", "map.png", "-o", "map.png", "--url", endpoint): endpoint,
-            ogm.start("get", "map.png", "-o", "map.png", "--url", url): url,
-            ogm.start("status", "--url", endpoint): endpoint,
-            ogm.start("status", "--url", url): url,
-            ogm.start("simulate", "--connect", endpoint): endpoint,
+            ogm.call("get", "map.png", "-o", "map.png", "--url", endpoint): endpoint,
+            ogm.call("get", "map.png", "-o", "map.png", "--url", url): url,
+            ogm.run("status", "--url", endpoint): endpoint,
+            ogm.call("status", "--url", url): url,
+            ogm.run("simulate", "--connect", endpoint): endpoint,
         }
-        for command, address in commands.items():
-            complaint = command.wait().complaint(1)
+        for ended, address in commands.items():
+            complaint = ended.complaint(1)
             assert address in complaint
             assert "mapper` running there" in complaint or "is a mapper running there" in complaint
     assert not (ogm.folder / "map.png").exists()
 
 
 def test_a_wrong_map_name_is_named(ogm, idle_mapper):
-    status = ogm.start("status", "--url", idle_mapper.endpoint, "--map", "hall")
-    get = ogm.start("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint, "--map", "hall")
-    for command in (status, get):
-        assert "no mapper of map 'hall' answered" in command.wait().complaint(1)
-        assert "--map hall" in command.wait().err
+    status = ogm.call("status", "--url", idle_mapper.endpoint, "--map", "hall")
+    get = ogm.call("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint, "--map", "hall")
+    for ended in (status, get):
+        assert "no mapper of map 'hall' answered" in ended.complaint(1)
+        assert "--map hall" in ended.err
 
 
 def test_an_empty_map_has_no_picture(ogm, idle_mapper):
-    complaint = ogm.run("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint).complaint(1)
+    complaint = ogm.call("get", "map.png", "-o", "x.png", "--url", idle_mapper.endpoint).complaint(1)
     assert "the map has no known cell yet" in complaint
 
 
 def test_unknown_settings_are_named(ogm):
     ogm.file("ogm.yaml", "map: {resolutoin: 0.1}\n")
     commands = {
-        "OGM_MAPPER__QUEU: unknown setting": ogm.mapper(OGM_MAPPER__QUEU="1"),
-        "ogm.yaml: map.resolutoin: unknown setting": ogm.mapper("--config", "ogm.yaml"),
-        "OGM_HTTP__PORT": ogm.start("demo", OGM_HTTP__PORT="70000"),
-        "OGM_NETWORK__NAME: unknown": ogm.start("simulate", OGM_NETWORK__NAME="x"),
+        "OGM_MAPPER__QUEU: unknown setting": ogm.run("mapper", OGM_MAPPER__QUEU="1"),
+        "ogm.yaml: map.resolutoin: unknown setting": ogm.call("mapper", "--config", "ogm.yaml"),
+        "OGM_HTTP__PORT": ogm.call("demo", OGM_HTTP__PORT="70000"),
+        "OGM_NETWORK__NAME: unknown": ogm.call("simulate", OGM_NETWORK__NAME="x"),
     }
-    for text, command in commands.items():
-        assert text in command.wait().complaint(2)
+    for text, ended in commands.items():
+        assert text in ended.complaint(2)
 
 
 def test_a_stopped_mapper_writes_its_map_if_there_is_one(ogm, lab_recording, assert_equal_maps):
     mappers = [ogm.ready(command) for command in [ogm.mapper("--out", "full"), ogm.mapper("--out", "empty")]]
     endpoint = mappers[0].endpoint
-    assert ogm.run("replay", lab_recording, "--speed", "max", "--connect", endpoint).code == 0
+    assert ogm.call("replay", lab_recording, "--speed", "max", "--connect", endpoint).code == 0
     served = mappers[0].map()
     assert mappers[0].command.stop().code == 0
     assert_equal_maps(ogm.map("full/map.npz"), served)
