@@ -42,6 +42,7 @@ CellType = Literal["int16", "float64"]
 FULL_SCALE = 16383
 PLANE = "log_odds"
 """Name of the model's only plane."""
+_MOST_STEPS = 4
 
 
 class CellConstants(NamedTuple):
@@ -182,12 +183,14 @@ class LogOdds(CellModel):
         return _table(self, encoder)
 
     def encode(self, cells: StoredCells, encoder: Encoder) -> NDArray[Any]:
-        """Apply an elementwise `encoder` of (probability, known); int16 cells go through a table."""
+        """Apply an elementwise `encoder` of (probability, known); to int16 by what it makes of each value."""
         encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
         for band in row_bands(cells.shape):
             part = cells[band]
             if cells.dtype == np.float64:
                 encoded[band] = encoder(self.probability(part), self.known(part))
+            elif _steps(self, encoder):
+                _encode_by_steps(part, _steps(self, encoder), encoded[band].view(np.uint8))
             else:
                 np.take(self.table(encoder), part.view(np.uint16), out=encoded[band], mode="clip")
         return encoded
@@ -242,6 +245,33 @@ def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
     """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
     every = np.arange(2**16, dtype=np.uint16).view(np.int16)
     return encoder(model.probability(every), model.known(every))
+
+
+@lru_cache(maxsize=16)
+def _steps(model: LogOdds, encoder: Encoder) -> tuple[tuple[int, int], ...]:
+    """Stored int16 values, rising, from which on an encoder gives another byte: by how much more, modulo 256.
+
+    The first one is the lowest value, and its byte. None of what is not a byte, or steps too often.
+    """
+    table = np.roll(_table(model, encoder), 2**15)  # by the cell's value, from the lowest
+    if table.itemsize != 1:
+        return ()
+    bytes_of = table.view(np.uint8)
+    places = np.flatnonzero(np.diff(bytes_of)) + 1
+    if len(places) > _MOST_STEPS:
+        return ()
+    more = bytes_of[places] - bytes_of[places - 1]
+    rest = zip((places - 2**15).tolist(), more.tolist(), strict=True)
+    return ((-(2**15), int(bytes_of[0])), *rest)
+
+
+def _encode_by_steps(
+    cells: StoredCells, steps: tuple[tuple[int, int], ...], encoded: NDArray[np.uint8]
+) -> None:
+    """Write what `_steps` make of int16 cells: a comparison of many at once each; a table is slower."""
+    encoded[:] = steps[0][1]
+    for value, more in steps[1:]:
+        encoded += (cells >= value).view(np.uint8) * np.uint8(more)
 
 
 def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:

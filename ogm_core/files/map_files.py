@@ -20,7 +20,8 @@ from ogm_core.pictures.png import write_png
 from ogm_core.snapshot import MapSnapshot
 
 FRAME = "map"
-PALETTES: dict[str, Encoder] = {"ros": ros_grey, "probability": probability_grey}
+DEFAULT_PALETTE = "ros"
+PALETTES: dict[str, Encoder] = {DEFAULT_PALETTE: ros_grey, "probability": probability_grey}
 
 _ENTRIES = np.frombuffer(b"".join(b"%3d," % value for value in range(-1, 101)), np.uint32)
 """-1, 0 ... 100 as items of a JSON array, four bytes each (JSON allows the blanks): a map is one look-up."""
@@ -37,7 +38,7 @@ _UNREADABLE = (
 """What zipfile and numpy raise on a damaged file; NotImplementedError is a RuntimeError."""
 
 
-def encode_png(snap: MapSnapshot, palette: str = "ros") -> bytes:
+def encode_png(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
     """8-bit grey PNG, north up.
 
     Raises:
@@ -47,7 +48,7 @@ def encode_png(snap: MapSnapshot, palette: str = "ros") -> bytes:
     return write_png(_picture(snap, palette))
 
 
-def encode_pgm(snap: MapSnapshot, palette: str = "ros") -> bytes:
+def encode_pgm(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
     """Binary PGM, north up; with palette "ros" nav2 map_server reads it by the file of `encode_yaml`.
 
     Raises:

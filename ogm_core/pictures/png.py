@@ -12,17 +12,23 @@ from numpy.typing import NDArray
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _DEPTH, _GREY = 8, 0
-_LEVEL = 1
+LEVEL = 1
 """Maps are large flat areas: ISA-L's higher levels take longer and gain little."""
 
 
 def write_png(grey: NDArray[np.uint8]) -> bytes:
     """PNG file, 8-bit greyscale, of `grey`: uint8, shape (h, w), at least 1 x 1, row 0 at the top."""
     height, width = grey.shape
+    return png_of(width, height, [isal_zlib.compress(unfiltered(grey), LEVEL)])
+
+
+def unfiltered(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Rows as the stream has them, shape (h, w + 1): each begins with its filter, 0 for none."""
+    height, width = grey.shape
     rows = np.empty((height, width + 1), np.uint8)
-    rows[:, 0] = 0  # every row begins with its filter: none
+    rows[:, 0] = 0
     rows[:, 1:] = grey
-    return png_of(width, height, [isal_zlib.compress(rows, _LEVEL)])
+    return rows
 
 
 def png_of(width: int, height: int, pixels: Sequence[bytes]) -> bytes:

@@ -56,6 +56,8 @@ class TileCopies:
     """In order of their tiles' numbers."""
     revision: int
     next_number: int
+    lineage: object
+    """One object for all copies of a store and of those that grew from it: their numbers can be compared."""
 
     def placed(self, rect: CellRect) -> NDArray[np.int64]:
         """`numbers` of the tiles of `rect`, which holds this one's; those of the others are 0."""
@@ -112,7 +114,8 @@ def copy_tiles(
     numbers.flags.writeable = False
     if len(which):
         blocks = (*blocks, Block(first, planes, len(which)))
-    return TileCopies(store.rect, numbers, blocks, revision, first + len(which))
+    lineage = object() if before is None else before.lineage
+    return TileCopies(store.rect, numbers, blocks, revision, first + len(which), lineage)
 
 
 def _to_copy(
@@ -121,7 +124,7 @@ def _to_copy(
     """Numbers of a store's tiles in the copy `before`, its blocks that are kept, and which tiles to copy."""
     if before is None:
         nowhere = CellRect(store.rect.ix, store.rect.iy, 0, 0)
-        before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1)
+        before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1, None)
     numbers = before.placed(store.rect)
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.

@@ -122,11 +122,14 @@ def _lay_out(
     """Copy `tiles[which]`, `size` x `size` cells each, to these columns and rows; cut what juts out."""
     height, width = dense.shape
     for k in range(len(which)):
+        tile = tiles[which[k]]
         column = columns[k]
-        west, east = max(0, -column), min(size, width - column)
+        west, east = np.uint64(max(0, -column)), np.uint64(max(min(size, width - column), 0))
         for r in range(max(0, -rows[k]), min(size, height - rows[k])):
+            # Unsigned places spare numba's check for negative ones: rows are copied at memory speed.
+            row, first = dense[rows[k] + r], np.uint64(size * r)
             for c in range(west, east):
-                dense[rows[k] + r, column + c] = tiles[which[k], size * r + c]
+                row[np.uint64(column) + c] = tile[first + c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

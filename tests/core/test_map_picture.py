@@ -14,11 +14,12 @@ from ogm_core.cells.model import Plane
 from ogm_core.files.map_files import PALETTES, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import CellRect, Region
-from ogm_core.pictures import map_picture as tile_picture
-from ogm_core.pictures.map_picture import MapPicture
+from ogm_core.lattice import CellRect, Lattice, Region
+from ogm_core.pictures.map_picture import MapPicture, combined
+from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.copies import copy_tiles
 from ogm_core.tiles.store import TILE, TileStore
+from ogm_core.tiles.view import TileView
 from ogm_core.types import Pose, Scan
 
 MODELS = [LogOdds(), LogOdds(p_prior=0.1, p_free=0.05), LogOdds(p_prior=0.7, p_occ=0.8), LogOdds("float64")]
@@ -37,6 +38,13 @@ def pixels(data):
     return grey
 
 
+def picture_png(snap, palette="ros", picture=None):
+    """The picture as a mapper keeps it up to date, which must be that of the snapshot by itself."""
+    data = (picture or MapPicture(PALETTES[palette])).png(snap)
+    assert np.array_equal(pixels(data), pixels(encode_png(snap, palette)))
+    return data
+
+
 def drawn(model, cells, palette):
     """What is to be seen, cell by cell."""
     return PALETTES[palette](model.probability(cells), model.known(cells))[::-1]
@@ -53,6 +61,7 @@ def random_scan(rng, k):
 def test_pictures_of_a_map_that_grows_in_all_directions(model, bounds):
     rng = np.random.default_rng(11)
     grid = OccupancyGrid(GridSettings(0.1, model, bounds=bounds), "e")
+    pictures = {palette: MapPicture(encoder) for palette, encoder in PALETTES.items()}
     old = []
     for k in range(60):
         at = rng.uniform(-1.0, 1.0, 2) * (1 + k if bounds is None else 8.0)
@@ -69,18 +78,22 @@ def test_pictures_of_a_map_that_grows_in_all_directions(model, bounds):
             counts = np.bincount(cells[cells != 0].view(np.uint16), minlength=2**16)
             assert np.array_equal(snap.stored.value_counts(PLANE), counts)
         for palette in list(PALETTES)[: 1 + k % 2]:
-            assert np.array_equal(pixels(encode_png(snap, palette)), drawn(model, cells, palette))
+            data = picture_png(snap, palette, pictures[palette])
+            assert np.array_equal(pixels(data), drawn(model, cells, palette))
         if k % 10 == 0:
             old.append((snap, cells, encode_png(snap)))
     for snap, cells, data in old:
         assert np.array_equal(snap.cells, cells)
+        assert picture_png(snap, picture=pictures["ros"]) == picture_png(snap)
         assert np.array_equal(pixels(encode_png(snap)), pixels(data))
         small, x, y = snap.shrink(50), *snap.origin
         part = snap.crop(Region(x + 1.05, y + 0.55, x + 3.0, y + 2.0))
         for cut, same in ((small, cells), (part, cells[5:20, 10:30])):
             if cut is part:
                 assert np.array_equal(cut.cells, same)
-            assert np.array_equal(pixels(encode_png(cut)), drawn(model, cut.cells, "ros"))
+            assert np.array_equal(
+                pixels(picture_png(cut, picture=pictures["ros"])), drawn(model, cut.cells, "ros")
+            )
 
 
 class Desk:
@@ -92,7 +105,7 @@ class Desk:
             CellRect(-64, 128, TILE * tiles[0], TILE * tiles[1]), (Plane(PLANE, np.dtype(np.int16)),)
         )
         self.palette, self.revision, self.copies = palette, 0, None
-        self.picture = MapPicture(LogOdds().table(PALETTES[palette]))
+        self.picture = MapPicture(PALETTES[palette])
 
     def fill(self, tx, ty, cells):
         self.revision += 1
@@ -102,7 +115,10 @@ class Desk:
     def check(self, rect=None):
         rect = rect or self.store.rect
         self.copies = copy_tiles(self.store, self.revision, self.copies)
-        grey = pixels(self.picture.png(self.copies, rect))
+        planes = (Plane(PLANE, np.dtype(np.int16)),)
+        view = TileView(self.copies, rect, planes)
+        self.snap = MapSnapshot(view, LogOdds(), Lattice(0.1), (rect.ix, rect.iy), "e", self.revision, None)
+        grey = pixels(self.picture.png(self.snap))
         assert np.array_equal(grey, drawn(LogOdds(), naive.stored(self.store, rect), self.palette))
 
 
@@ -177,113 +193,59 @@ def test_only_rows_of_tiles_that_have_changed_are_put_together_again():
     assert [after[ty] is before[ty] for ty in range(2, 6)] == [True, True, False, True]
 
 
-def test_only_tiles_that_have_changed_are_drawn(monkeypatch):
-    drawn_slots = []
-    code_tiles = tile_picture.code_tiles
-
-    def counted(tiles, rows, slots, *more):
-        drawn_slots.append(len(slots))
-        return code_tiles(tiles, rows, slots, *more)
-
-    monkeypatch.setattr(tile_picture, "code_tiles", counted)
-    desk = Desk()
-    for tx, ty in np.ndindex(5, 3):
-        desk.fill(tx, ty, stripes(desk.rng))
-    desk.check()
-    assert drawn_slots == [15]
-    desk.fill(0, 3, flat(desk.rng))
-    desk.fill(1, 1, flat(desk.rng))
-    desk.check()
-    desk.check()
-    assert drawn_slots == [15, 2]
-
-
-def test_a_full_pool_is_made_anew():
-    desk = Desk(tiles=(4, 4))
-    for tx, ty in np.ndindex(4, 4):
-        desk.fill(tx, ty, flat(desk.rng))
-    desk.check()
-    room = len(desk.picture._pool)
-    for _ in range(12):
-        for tx, ty in np.ndindex(4, 4):
-            desk.fill(tx, ty, noise(desk.rng))
-        desk.check()
-    assert len(desk.picture._pool) > room
-    assert desk.picture._used <= len(desk.picture._pool)
-
-
-def out_of_memory(*_):
-    raise MemoryError
-
-
-@pytest.mark.parametrize("broken", ["code_tiles", "_longer"])
-def test_a_picture_is_whole_after_memory_gave_out(monkeypatch, broken):
+def test_a_picture_is_whole_after_memory_gave_out(monkeypatch):
     desk = Desk()
     desk.fill(1, 1, noise(desk.rng))
     desk.check()
-    grown = desk.store.grown(CellRect(desk.store.rect.ix - 1, desk.store.rect.iy, 1, 1))
-    grown.take(desk.store)
-    desk.store = grown
     for tx, ty in np.ndindex(4, 4):
         desk.fill(tx, ty, stripes(desk.rng))
+    encode, calls = MapSnapshot.encode, []
+
+    def out_of_memory(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise MemoryError
+        return encode(*arguments)
+
     with monkeypatch.context() as patch:
-        patch.setattr(tile_picture, broken, out_of_memory)
+        patch.setattr(MapSnapshot, "encode", out_of_memory)
         with pytest.raises(MemoryError):
             desk.check()
     desk.check()
 
 
-def test_the_check_sum_of_a_map_of_250_km():
-    """80,000 flat tiles in a row, whose sums would be too large for 64 bits."""
-    picture, tiles = MapPicture(LogOdds().table(PALETTES["ros"])), 80_000
-    picture._rect = CellRect(0, 0, tiles * TILE, TILE)
-    picture._slots = np.ones((tiles, 1), np.uint64)
-    picture._sums = np.zeros((2, 3), np.int64)  # greys of 0
-    check = 1
-    for _ in range(TILE):
-        check = zlib.adler32(bytes(tiles * TILE + 1), check)
-    assert picture._adler(picture._rect) == check
+@pytest.mark.parametrize("seed", range(5))
+def test_check_sums_are_put_together(seed):
+    rng = np.random.default_rng(seed)
+    parts = [rng.integers(0, 256, size, np.uint8).tobytes() for size in rng.integers(0, 70_000, 6)]
+    check = combined([(zlib.adler32(part), len(part)) for part in parts])
+    assert check == zlib.adler32(b"".join(parts))
+
+
+def test_a_store_begun_anew_is_another_picture_though_its_tiles_have_the_same_numbers():
+    grid, picture = OccupancyGrid(GridSettings(0.1), "e"), MapPicture(PALETTES["ros"])
+    shots = []
+    scan = random_scan(np.random.default_rng(1), 0)
+    for times in (1, 2):
+        grid.reset("e")
+        for _ in range(times):
+            grid.integrate(scan, Pose(0.0, 0.0, 0.0))
+        shots.append(grid.snapshot())
+    assert np.array_equal(*(shot.stored.tiles.numbers for shot in shots))
+    for shot in (*shots, *shots):
+        picture_png(shot, picture=picture)
 
 
 def test_a_map_that_is_reset_and_then_outgrows_what_it_was():
     grid, rng = OccupancyGrid(GridSettings(0.1), "e"), np.random.default_rng(6)
+    picture = MapPicture(PALETTES["ros"])
     for k in range(8):
         if k == 3:
             grid.reset("f")
         grid.integrate(random_scan(rng, k), Pose(-9.0 * k, 5.0 * k, 0.0))
         snap = grid.snapshot()
-        assert np.array_equal(pixels(encode_png(snap)), drawn(snap.model, snap.cells, "ros"))
-
-
-def test_greys_that_are_never_0():
-    desk = Desk()
-    desk.picture = MapPicture(np.maximum(LogOdds().table(PALETTES["probability"]), 9))
-    desk.fill(1, 1, noise(desk.rng))
-    copies = copy_tiles(desk.store, desk.revision)
-    grey = pixels(desk.picture.png(copies, desk.store.rect))
-    expected = drawn(LogOdds(), naive.stored(desk.store, desk.store.rect), "probability")
-    assert np.array_equal(grey, np.maximum(expected, 9))
-
-
-def test_there_is_room_for_the_bits_of_tiles_that_the_code_does_not_suit(monkeypatch):
-    shares = []
-    join_rows = tile_picture.join_rows
-
-    def measured(*arguments):
-        size = join_rows(*arguments)
-        assert size + 4 <= arguments[-1].nbytes
-        shares.append(size / arguments[-1].nbytes)
-        return size
-
-    monkeypatch.setattr(tile_picture, "join_rows", measured)
-    desk = Desk()
-    for tx, ty in np.ndindex(5, 4):
-        desk.fill(tx, ty, np.full((TILE, TILE), 9001))
-    desk.check()
-    for tx in range(5):
-        desk.fill(tx, 2, noise(desk.rng))
-    desk.check()
-    assert max(shares) > 0.5
+        data = picture_png(snap, picture=picture)
+        assert np.array_equal(pixels(data), drawn(snap.model, snap.cells, "ros"))
 
 
 def test_an_older_snapshot_is_drawn_after_a_newer_one():
@@ -293,5 +255,7 @@ def test_an_older_snapshot_is_drawn_after_a_newer_one():
     first = grid.snapshot()
     grid.integrate(random_scan(rng, 1), Pose(3.0, -8.0, 0.0))
     second = grid.snapshot()
+    picture = MapPicture(PALETTES["ros"])
     for snap in (second, first, second):
-        assert np.array_equal(pixels(encode_png(snap)), drawn(snap.model, snap.cells, "ros"))
+        data = picture_png(snap, picture=picture)
+        assert np.array_equal(pixels(data), drawn(snap.model, snap.cells, "ros"))

@@ -11,7 +11,6 @@ from ogm_core.errors import LimitReached
 from ogm_core.files.map_files import PALETTES, encode_png
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.pictures import deflate, run_coding
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
 from ogm_core.tiles import view as tiled_cells
@@ -38,10 +37,6 @@ KERNELS = (
     spans.update_blocks,
     spans.update_one_by_one,
     agreement.agreement,
-    deflate._runs,
-    run_coding.count_runs,
-    run_coding.code_tiles,
-    run_coding.join_rows,
     tiled_cells._count_written,
     tiled_cells._lay_out,
     tiled_cells._count_values,

@@ -9,8 +9,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from ogm_core.errors import BadParameter
-from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode_png, encode_yaml
+from ogm_core.files.map_files import (
+    DEFAULT_PALETTE,
+    PALETTES,
+    encode_json,
+    encode_npz,
+    encode_pgm,
+    encode_png,
+    encode_yaml,
+)
 from ogm_core.lattice import Region
+from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.mapper.live.live_map import Identity, LiveMap
@@ -34,7 +43,7 @@ MAP_FORMATS: dict[str, _MapFormat] = {
     "png": _MapFormat(
         "image/png",
         frozenset({"region", "palette", "max_size"}),
-        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", "ros")),
+        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", DEFAULT_PALETTE)),
     ),
     "json": _MapFormat(
         "application/json",
@@ -44,7 +53,7 @@ MAP_FORMATS: dict[str, _MapFormat] = {
     "pgm": _MapFormat(
         "image/x-portable-graymap",
         frozenset({"region", "palette"}),
-        lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", "ros")),
+        lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", DEFAULT_PALETTE)),
     ),
     "yaml": _MapFormat(
         "application/yaml", frozenset({"region"}), lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
@@ -63,6 +72,7 @@ class Answers:
         self._receipts = receipts
         self._started = time.monotonic()
         self._cache = _AnswerCache()
+        self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
 
     def map(self, form: str, given: Parameters) -> Answer:
         """The map in a format of MAP_FORMATS.
@@ -92,9 +102,17 @@ class Answers:
     def _encoded(self, wanted: _MapFormat, given: Parameters, key: object) -> Answer:
         snapshot = self._map.snapshot()
         cut = _shrunk(_cropped(snapshot, given), given)
-        answer = Answer(wanted.encode(cut, self._map_name, given), wanted.media_type, cut.meta())
+        picture = self._picture_of(wanted, cut, given) if cut is snapshot else None
+        body = wanted.encode(cut, self._map_name, given) if picture is None else picture.png(snapshot)
+        answer = Answer(body, wanted.media_type, cut.meta())
         self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
         return answer
+
+    def _picture_of(self, wanted: _MapFormat, cut: MapSnapshot, given: Parameters) -> MapPicture | None:
+        """The picture of the whole map that is kept up to date, if that is what is wanted."""
+        if wanted is not MAP_FORMATS["png"] or cut.empty:
+            return None
+        return self._pictures.get(given.get("palette", DEFAULT_PALETTE))
 
     def cell(self, given: Parameters) -> Answer:
         """One cell: indices, whether it is known, and its log odds and probability if so.
