@@ -2,16 +2,18 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Python, with compiled kernels kept where `ogm` keeps them.
+PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)/python
 
 .PHONY: demo test check coverage format pictures page-picture variants costs bench bench-quick clean
 
-demo: $(VENV)/.run $(VENV)/.kernels
+demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
 
 # One process a core, each with files of its own; the services' many short files come last, so that all end together.
 PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-test: $(VENV)/.dev $(VENV)/.kernels
+test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
@@ -30,7 +32,7 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 # The maps that README.md and docs show: one lap through each of the simulated worlds.
-pictures: $(VENV)/.dev $(VENV)/.kernels
+pictures: $(VENV)/.dev
 	$(call picture,lab,220)
 	$(call picture,office,3675)
 	$(BIN)/ogm build build/pictures/lab.jsonl.gz --preset lab --world lab --out build/pictures/textbook \
@@ -44,36 +46,29 @@ cp build/pictures/$(1)/map.png docs/$(1).png
 endef
 
 # The live page that README.md shows, half way through the office: two minutes, and Chromium.
-page-picture: $(VENV)/.run $(VENV)/.kernels
+page-picture: $(VENV)/.run
 	$(BIN)/python -m docs.page_picture $(ARGS)
 
 # The tables of docs/variants.md.
-variants: $(VENV)/.run $(VENV)/.kernels
+variants: $(VENV)/.run
 	$(BIN)/python docs/variants.py
 
 # The tables of docs/costs.md and its figure; best while nothing else is running.
-costs: $(VENV)/.dev $(VENV)/.kernels
-	$(BIN)/python -m docs.costs
+costs: $(VENV)/.dev
+	$(PYTHON_WITH_KERNELS) -m docs.costs
 
 # How fast the map is, against other programs of its kind where g++ and their headers are installed, and how fast
 # the services are: OGM_DATASETS and wrk make it complete.
-bench: $(VENV)/.run $(VENV)/.kernels
-	$(BIN)/python -m benchmarks $(ARGS)
+bench: $(VENV)/.run
+	$(PYTHON_WITH_KERNELS) -m benchmarks $(ARGS)
 
 # The same in about a minute, with fewer scans and rounds.
-bench-quick: $(VENV)/.run $(VENV)/.kernels
-	$(BIN)/python -m benchmarks --quick $(ARGS)
+bench-quick: $(VENV)/.run
+	$(PYTHON_WITH_KERNELS) -m benchmarks --quick $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
-
-KERNELS := $(wildcard ogm_core/*.py ogm_core/*/*.py)
-
-# numba's cache looks only at the file that a kernel stands in, not at the ones that it calls.
-$(VENV)/.kernels: $(KERNELS) | $(BIN)/python
-	@rm -rf ogm_core/__pycache__/*.nb? ogm_core/*/__pycache__/*.nb? build/kernels
-	@touch $@
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

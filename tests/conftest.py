@@ -5,25 +5,28 @@ A deadline says when to give up, never how quick something is: it holds on a mac
 
 import os
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+
+from ogm_services.runtime.kernel_cache import VARIABLE, kernel_cache
 
 GIVEN_UP = 30.0
 """When `eventually` gives up, s."""
 
 
 def pytest_configure(config):
-    """Give every process of `pytest -n`, and what it starts, a folder of its own for compiled kernels.
+    """Keep the kernels that the tests compile, they and what they start, in a folder as `ogm` does.
 
-    Two that save one kernel for different types at once may leave either's code under the other's name: numba
-    picks the file's number before it writes. The folder is the one that `ogm` would use below the worker's.
+    Every process of `pytest -n` has one of its own: two that save one kernel for different types at once may
+    leave either's code under the other's name, for numba picks the file's number before it writes.
     """
     if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-        from ogm_services.runtime import kernel_cache  # imports no numba, which reads the variable only once
-
-        kernels = config.rootpath / "build" / "kernels" / worker / kernel_cache._of_these_sources()
-        os.environ[kernel_cache.VARIABLE] = str(kernels)
+        os.environ[VARIABLE] = str(config.rootpath / "build" / "kernels" / worker)
+    cache = ExitStack()
+    cache.enter_context(kernel_cache())
+    config.add_cleanup(cache.close)
 
 
 @pytest.fixture
