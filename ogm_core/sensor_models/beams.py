@@ -155,6 +155,8 @@ def project_turned(
 ) -> bool:
     """The same as `project`, cell for cell, of a sensor that stood still: many times faster.
 
+    Returns whether it can tell; if not, as far away from the frame's origin, `project` has to.
+
     `sensor` is its x, y, theta; `directions`, shape (2, N), are cosine and sine of the beams' bearings in the
     sensor's frame. Turned by the heading they give the end points up to rounding, with simple arithmetic on
     many beams at once. How far rounding can move a point is known; where that could reach another cell,
@@ -166,7 +168,7 @@ def project_turned(
     u0, v0 = (x - onto.anchor_x) / onto.resolution, (y - onto.anchor_y) / onto.resolution
     slack = _rounding(n, abs(x) + abs(y), theta, model, onto)
     if not slack < _USEFUL:
-        return bool(project(ranges, beam, np.array([[x, y, theta]]), lattice, ends, lines))
+        return False
     i0, j0 = math.floor(u0), math.floor(v0)
     fu, fv = u0 - i0, v0 - j0
     c, s = math.cos(theta) / onto.resolution, math.sin(theta) / onto.resolution

@@ -64,10 +64,9 @@ def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exa
     if placed.sweep is None:
         x, y, theta = placed.pose
         sensor, turned = (float(x), float(y), float(theta)), directions(*model[:2], ranges.size)
-        addressed = beams.project_turned(ranges, model, sensor, onto, *projected, turned)
-    else:
-        addressed = beams.project(ranges, model, placed.sweep.beams, onto, *projected)
-    if not addressed:
+        if beams.project_turned(ranges, model, sensor, onto, *projected, turned):
+            return projected
+    if not beams.project(ranges, model, sensor_poses(placed), onto, *projected):
         raise LimitReached("the sensor or a beam's end is farther away than cells can be addressed")
     return projected
 
