@@ -4,7 +4,7 @@ import logging
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import typer
 
@@ -41,16 +41,22 @@ def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterat
             signal.signal(number, signal.SIG_IGN if ending else handler)
 
 
+class MakeWay(BaseException):
+    """What runs gives up, for the process is to end; no Exception, which libraries might catch."""
+
+
 @contextmanager
-def held_signals() -> Iterator[None]:
-    """Put off Ctrl-C and SIGTERM until what runs inside is done.
+def held_signals() -> Iterator[list[int]]:
+    """Put off Ctrl-C and SIGTERM until what runs inside is done, or gives up by MakeWay.
+
+    Inside, the list holds the numbers of the signals that have come.
 
     For what must not be left half done, and for imports and compilers: where they call back into Python, an
     exception out of a signal handler is swallowed, and the signal with it. Python handles signals in the
     main thread only, so elsewhere this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield []
         return
     held: list[int] = []
 
@@ -59,7 +65,8 @@ def held_signals() -> Iterator[None]:
 
     before = {number: signal.signal(number, hold) for number in _ENDING}
     try:
-        yield
+        with suppress(MakeWay):
+            yield held
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
