@@ -1,15 +1,18 @@
 """A mapper's life: ready only when warm, reset, and what it says while it fails or stops."""
 
 import asyncio
+import json
 import socket
 import time
 
 import httpx
 import pytest
 
+from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
 from ogm_services.mapper.service import CannotServe
+from ogm_services.mapper.serving.answers import MAP_FORMATS
 from ogm_services.mapper.serving.http_routes import Health, build_app
 from ogm_services.replies.answer import Unavailable
 
@@ -77,21 +80,62 @@ def test_a_reset_that_cannot_be_done_is_told():
     assert problem(ask("POST", "/reset", reset=refuse_parameter)) == (400, "bad-parameter")
 
 
-def test_it_is_ready_only_when_every_kernel_is_warm(start_mapper, monkeypatch):
+@pytest.fixture
+def while_starting(start_mapper, monkeypatch, endpoint):
+    """`while_starting(look)` starts a mapper, and calls look(http, ask) when it has kernels to make ready."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
-    seen, warm_up = [], service_module.warm_up
+    warm_up = service_module.warm_up
 
-    def look_and_warm_up(settings):
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=30.0) as http:
-            seen.extend(http.get(path).status_code for path in ("/livez", "/readyz", "/status"))
-        warm_up(settings)
+    def start(look):
+        def look_and_warm_up(settings):
+            url, network = f"http://127.0.0.1:{port}", NetworkConfig(connect=(endpoint,))
+            with httpx.Client(base_url=url, timeout=30.0) as http, open_session(network) as session:
+                look(http, lambda key: list(session.get(f"ogm/v1/hall/{key}", timeout=30.0)))
+            warm_up(settings)
 
-    monkeypatch.setattr(service_module, "warm_up", look_and_warm_up)
-    with start_mapper(http={"port": port}) as mapper:
-        assert seen == [200, 503, 200]
+        monkeypatch.setattr(service_module, "warm_up", look_and_warm_up)
+        return start_mapper(http={"port": port}, network={"listen": [endpoint]})
+
+    return start
+
+
+def test_while_it_starts_it_lives_and_tells_everybody_to_come_again(while_starting):
+    seen, served = {}, {"/livez": 200, "/readyz": 503, "/version": 200, "/": 200}
+    routes = [f"/map.{form}" for form in MAP_FORMATS] + ["/cell?x=0&y=0", "/quality", "/status", "/metrics"]
+
+    def look(http, _):
+        seen.update({path: http.get(path) for path in (*served, *routes)})
+        seen["reset"] = http.post("/reset")
+
+    with while_starting(look) as mapper:
+        assert {path: seen.pop(path).status_code for path in served} == served
+        assert len(seen) == len(routes) + 1
+        for response in seen.values():
+            assert problem(response) == (503, "starting")
+            assert int(response.headers["retry-after"]) > 0
         assert mapper.http.get("/readyz").status_code == 200
-        assert mapper.http.base_url.port == port
+        assert mapper.draw_cross()["revision"] == 3
+        for path in routes:
+            assert mapper.http.get(path).status_code == 200, path
+            assert "retry-after" not in mapper.http.get(path).headers
+
+
+def test_while_it_starts_every_queryable_says_so(while_starting, eventually):
+    seen = {}
+    keys = ("map", "cell", "quality", "status", "reset")
+
+    def look(_, ask):
+        # What it declares reaches another session a moment after that has opened.
+        seen.update({key: eventually(lambda key=key: ask(key), 10.0) for key in keys})
+
+    with while_starting(look) as mapper:
+        for key in keys:
+            (reply,) = seen[key]
+            assert str(reply.err.encoding) == "application/problem+json"
+            told = json.loads(reply.err.payload.to_bytes())
+            assert (told["type"], told["status"]) == ("starting", 503)
+        assert json.loads(mapper.answer("status").payload.to_bytes())["revision"] == 0
 
 
 def test_a_taken_http_port_is_said_with_its_flag(cross, start_mapper):

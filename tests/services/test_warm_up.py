@@ -1,23 +1,32 @@
-"""Before a mapper is ready every kernel is compiled, whatever the settings; no scan waits for a compiler."""
+"""Kernels are compiled before anybody needs them, whatever the settings; no scan waits for a compiler."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import LimitReached
-from ogm_core.files.map_files import PALETTES, encode_png
+from ogm_core.files.map_files import PALETTES, encode_json, encode_npz, encode_pgm, encode_png
+from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
 from ogm_core.tiles import view as tiled_cells
-from ogm_core.types import Pose, Scan
+from ogm_core.types import Pose, Scan, Sweep
 from ogm_core.wire.messages import decode_scan, encode_scan
+from ogm_services.mapper.live import warm_up as warm_up_module
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.service import OccupancyGrid, warm_up
+from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up, warm_up_rest
+
+ROOT = Path(__file__).parents[2]
+TIMEOUT = 60.0
 
 KERNELS = (
     beams.project,
@@ -43,34 +52,118 @@ KERNELS = (
 )
 
 
-def compiled():
-    return [len(kernel.signatures) for kernel in KERNELS]
+LATER = (
+    beams.project,
+    bresenham.touch_tiles,
+    dda.touch_tiles,
+    spans.touch_tiles,
+    agreement.agreement,
+    tiled_cells._count_values,
+)
+"""Kernels that no scan waits for, unless it is its sensor's first sweep or the map is full."""
 
 
-@pytest.mark.parametrize("outside", ["clip", "drop"])
-@pytest.mark.parametrize("cells", ["int16", "float64"])
-@pytest.mark.parametrize("bounds", [None, Region(-3, -2, 3, 2)])
-@pytest.mark.parametrize(("sensor", "traversal"), [("beam", "bresenham"), ("beam", "dda"), ("sector", "dda")])
-def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outside):
+def compiled(kernels=KERNELS):
+    return [len(kernel.signatures) for kernel in kernels]
+
+
+def every_kind_of_settings(test):
+    for marks in (
+        pytest.mark.parametrize("outside", ["clip", "drop"]),
+        pytest.mark.parametrize("cells", ["int16", "float64"]),
+        pytest.mark.parametrize("bounds", [None, Region(-3, -2, 3, 2)]),
+        pytest.mark.parametrize(
+            ("sensor", "traversal"), [("beam", "bresenham"), ("beam", "dda"), ("sector", "dda")]
+        ),
+    ):
+        test = marks(test)
+    return test
+
+
+def scans():
+    """What sensors send: one beam, or nothing seen, makes arrays of another memory layout to numba."""
+    ranges = np.array([1.0, 7.9, math.inf, math.nan], np.float32)
+    yield decode_scan(encode_scan(Scan(0, 0.0, 0.1, 0.0, 8.0, ranges)))
+    for odd in ([1.0], [math.nan], [math.nan, math.nan], [1.0, math.nan, 2.0]):
+        yield Scan(0, 0.0, 0.1, 0.0, 8.0, np.array(odd, np.float32))
+        yield Scan(0, 0.0, 1.9, 0.0, 8.0, np.array(odd, np.float32))
+
+
+def map_and_look_at_it(settings):
+    live_map = LiveMap(OccupancyGrid(settings))
+    for scan in scans():
+        live_map.integrate(scan, Pose(0, 0, 0))
+        for palette in PALETTES:
+            encode_png(live_map.snapshot(), palette)
+        live_map.info()
+
+
+@every_kind_of_settings
+def test_once_ready_no_scan_and_no_look_at_the_live_map_waits_for_a_compiler(
+    sensor, traversal, bounds, cells, outside
+):
     settings = GridSettings(0.1, LogOdds(cells), sensor, traversal, bounds=bounds, outside=outside)
     warm_up(settings)
     before = compiled()
+    map_and_look_at_it(settings)
+    assert compiled() == before
+
+
+@every_kind_of_settings
+def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outside):
+    settings = GridSettings(0.1, LogOdds(cells), sensor, traversal, bounds=bounds, outside=outside)
+    warm_up(settings)
+    warm_up_rest(settings)
+    before = compiled()
     live_map = LiveMap(OccupancyGrid(settings))
-    ranges = np.array([1.0, 7.9, math.inf, math.nan], np.float32)
-    scan = decode_scan(encode_scan(Scan(0, 0.0, 0.1, 0.0, 8.0, ranges)))
-    live_map.integrate(scan, Pose(0, 0, 0))
-    # One beam, or nothing seen: arrays of a single column, or of none, have another memory layout to numba.
-    for odd in ([1.0], [math.nan], [math.nan, math.nan], [1.0, math.nan, 2.0]):
-        live_map.integrate(Scan(0, 0.0, 0.1, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
-        live_map.integrate(Scan(0, 0.0, 1.9, 0.0, 8.0, np.array(odd, np.float32)), Pose(0, 0, 0))
-        live_map.snapshot().crop(Region(0.0, 0.0, 1.0, 1.0))
-        for palette in PALETTES:
-            encode_png(live_map.snapshot(), palette)
+    for scan in scans():
+        poses = np.zeros((scan.ranges.size, 3))
+        live_map.integrate(scan, Pose(0, 0, 0))
+        live_map.integrate(scan, Pose(0, 0, 0), Sweep(Pose(0, 0, 0), poses))
+        snapshot = live_map.snapshot()
+        snapshot.crop(Region(0.0, 0.0, 1.0, 1.0))
+        for encode in (encode_png, encode_pgm):
+            for palette in PALETTES:
+                encode(snapshot, palette)
+        encode_json(snapshot, "")
+        encode_npz(snapshot)
     live_map.info()
     live_map.quality()
     with pytest.raises(LimitReached):
         OccupancyGrid(replace(settings, max_bytes=1)).integrate(scan, Pose(0.0, 0.04, 0.0))
     assert compiled() == before
+
+
+def test_what_can_wait_is_not_compiled_before_the_first_scan():
+    program = (
+        "from tests.services.test_warm_up import *\n"
+        "settings = GridSettings()\n"
+        "warm_up(settings); before = compiled()\n"
+        "map_and_look_at_it(settings); assert compiled() == before != [0] * len(KERNELS)\n"
+        "print(sum(compiled(LATER)))\n"
+        "warm_up_rest(settings); print(sum(compiled(LATER)))\n"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True, timeout=TIMEOUT
+    )
+    first, later = map(int, printed.stdout.split())
+    assert first == 0 < later
+
+
+def test_the_rest_can_be_given_up_between_two_passes_of_the_compiler(eventually, monkeypatch):
+    passes = []
+
+    def compile_without_end(_):
+        while True:
+            passes.append(0)
+            njit(lambda x: x + 1)(1)
+
+    monkeypatch.setattr(warm_up_module, "warm_up_rest", compile_without_end)
+    rest = RestOfWarmUp(GridSettings())
+    rest.start()
+    eventually(lambda: len(passes) > 1, TIMEOUT)
+    rest.stop()
+    assert not rest._thread.is_alive()
 
 
 @pytest.mark.parametrize(
@@ -88,3 +181,4 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
 )
 def test_any_sound_settings_warm_up(settings):
     warm_up(settings)
+    warm_up_rest(settings)

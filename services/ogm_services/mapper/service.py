@@ -3,29 +3,24 @@
 import asyncio
 import dataclasses
 import logging
-import math
 import socket
 import sys
 import threading
+import time
 import uuid
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
 import typer
 import uvicorn
 
 from ogm_client.session import open_session, resolve_listen
-from ogm_core.errors import LimitReached, MapEmpty, OgmError
-from ogm_core.files.map_files import encode_png
-from ogm_core.grid import OccupancyGrid
+from ogm_core.errors import MapEmpty, OgmError
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import Region
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
-from ogm_core.types import Pose, Scan
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
@@ -33,10 +28,13 @@ from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.live.start_map import started_grid
+from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_routes import Health, build_app
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map
+from ogm_services.runtime.compilation import compiling_until
+from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.settings import Settings
@@ -46,6 +44,8 @@ LIVE_MAP = "live map"
 WAKE_PERIOD = 0.5
 SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
+COMPILATION = {"beam": 10, "sector": 25}
+"""How long the kernels of a sensor model take to compile, about, s."""
 GRACE = 2
 """How long open HTTP connections may take to finish when the mapper stops, s."""
 
@@ -87,7 +87,8 @@ class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
     Threads: the worker (owns the map), the observer (owns the series and the truth), one for HTTP's event
-    loop with its pool, Zenoh's own, and a small pool for Zenoh's queries. All of them end with the `with`.
+    loop with its pool, Zenoh's own, a small pool for Zenoh's queries, and one that makes rarely used kernels
+    ready. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -101,8 +102,10 @@ class MapperService:
         self._queue, self._receipts = queue, receipts
         self._worker = Worker(queue, mapper, receipts, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
         self._observer = Monitor(self.live_map)
-        self.answers = Answers(settings.network.map_name, self.live_map, receipts, self._observer)
         self._ready = threading.Event()
+        self.answers = Answers(
+            settings.network.map_name, self.live_map, receipts, self._observer, self._ready.is_set
+        )
         self._open = ExitStack()
         self.addresses: list[str] = []
 
@@ -130,6 +133,7 @@ class MapperService:
 
     def reset(self) -> None:
         """Empty the map, after every message that has arrived."""
+        self.answers.check_ready()
         self._worker.do(lambda: self.live_map.reset(uuid.uuid4().hex))
 
     def _start(self, opening: ExitStack) -> None:
@@ -145,11 +149,10 @@ class MapperService:
         opening.callback(subscriber.close)
         routes.claim()
         opening.enter_context(self._http(listener))
-        with held_signals():
-            warm_up(self._grid_settings)
+        routes.declare(self.answers, self.reset)
+        _warm_up(self._grid_settings)
         self._worker.start()
         opening.callback(self._worker.stop)
-        routes.declare(self.answers, self.reset)
         subscriber.declare()
         opening.callback(self._observer.stop)
         self._observer.start(routes.ask_truth)
@@ -160,6 +163,9 @@ class MapperService:
             f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
         ]
         self._ready.set()
+        rest = RestOfWarmUp(self._grid_settings)
+        opening.callback(rest.stop)
+        rest.start()
 
     def _http(self, listener: socket.socket) -> "_HttpThread":
         health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
@@ -196,27 +202,16 @@ def _not_cut_off(record: logging.LogRecord) -> bool:
     return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
-def warm_up(settings: GridSettings) -> None:
-    """Load or compile every kernel that a live map needs, on a small map of the same kind."""
-    side = 64.0 * settings.resolution
-    bounds = None if settings.bounds is None else Region(0.0, 0.0, side, side)
-    small = GridSettings(
-        settings.resolution,
-        settings.cell_model,
-        settings.sensor_model,
-        settings.traversal,
-        bounds=bounds,
-        outside=settings.outside,
-    )
-    scratch = LiveMap(OccupancyGrid(small))
-    hit_and_no_return = np.array([side / 4, math.inf], np.float32)
-    scan = Scan(0, 0.0, 1.0, 0.0, side / 3, hit_and_no_return)
-    scratch.integrate(scan, Pose(side / 2, side / 2, 0.0))
-    scratch.info()
-    scratch.quality()
-    encode_png(scratch.snapshot())
-    with suppress(LimitReached):  # a map that is full counts tiles by another kernel
-        OccupancyGrid(dataclasses.replace(small, max_bytes=1)).integrate(scan, Pose(side / 2, side / 2, 0.0))
+def _warm_up(settings: GridSettings) -> None:
+    """Make ready what scans need, before the first one; signals end that. Says so if it is to take long."""
+    empty, began = begins_empty(), time.monotonic()
+    if empty:
+        often, seconds = ", once for this version" if lasts() else "", COMPILATION[settings.sensor_model]
+        typer.echo(f"ogm: compiling the map's kernels{often}: about {seconds} s", err=True)
+    with held_signals() as held, compiling_until(lambda: bool(held)):
+        warm_up(settings)
+    if empty:
+        typer.echo(f"ogm: compiled the map's kernels in {time.monotonic() - began:.0f} s", err=True)
 
 
 def _bound_socket(host: str, port: int) -> socket.socket:

@@ -31,6 +31,12 @@ class Unavailable(OgmError):
     slug = "unavailable"
 
 
+class Starting(Unavailable):
+    """The mapper is not ready yet: it is still making its kernels ready."""
+
+    slug = "starting"
+
+
 @dataclass(frozen=True, slots=True)
 class Answer:
     """A body, its media type, and for a map what `MapSnapshot.meta` says of it."""

@@ -80,17 +80,14 @@ def kernel_cache() -> Iterator[Path]:
 
 
 def begins_empty() -> bool:
-    """Whether numba's folder holds no kernel yet."""
-    return next(_numbas().rglob("*.nbi"), None) is None
+    """Whether the folder that numba is told holds no kernel yet."""
+    folder = os.environ.get(VARIABLE, "")
+    return folder != "" and next(Path(folder).rglob("*.nbi"), None) is None
 
 
 def lasts() -> bool:
     """Whether later starts find what is compiled now."""
-    return not _numbas().parent.name.startswith(_TEMPORARY)
-
-
-def _numbas() -> Path:
-    return Path(os.environ.get(VARIABLE, ""))
+    return not Path(os.environ.get(VARIABLE, "")).parent.name.startswith(_TEMPORARY)
 
 
 def _place_of_user() -> Path:

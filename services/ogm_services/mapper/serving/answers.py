@@ -24,7 +24,7 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
-from ogm_services.replies.answer import Answer, Parameters, UnknownName
+from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
 
 CACHE_BYTES = 64 * 1024**2
 """Encoded maps of the current revision that are kept for the next who asks."""
@@ -63,9 +63,19 @@ MAP_FORMATS: dict[str, _MapFormat] = {
 
 
 class Answers:
-    """Everything that can be asked of a mapper. Any thread; nothing here waits for the network."""
+    """Everything that can be asked of a mapper. Any thread; nothing here waits for the network.
 
-    def __init__(self, map_name: str, live_map: LiveMap, receipts: Receipts, observer: Monitor) -> None:
+    Until it is `ready` every question gets Starting: an answer would have to wait for a compiler.
+    """
+
+    def __init__(
+        self,
+        map_name: str,
+        live_map: LiveMap,
+        receipts: Receipts,
+        observer: Monitor,
+        ready: Callable[[], bool] = lambda: True,
+    ) -> None:
         self._map_name = map_name
         self._map = live_map
         self._observer = observer
@@ -73,6 +83,16 @@ class Answers:
         self._started = time.monotonic()
         self._cache = _AnswerCache()
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
+        self._ready = ready
+
+    def check_ready(self) -> None:
+        """Refuse what needs a mapper that has started.
+
+        Raises:
+            Starting: it has not.
+        """
+        if not self._ready():
+            raise Starting("the mapper is starting: ask again in a few seconds")
 
     def map(self, form: str, given: Parameters) -> Answer:
         """The map in a format of MAP_FORMATS.
@@ -82,6 +102,7 @@ class Answers:
             BadParameter: a parameter is unknown or ill-formed, or its region misses the map.
             MapEmpty: a picture of a map without a known cell.
         """
+        self.check_ready()
         if form not in MAP_FORMATS:
             raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {form!r}")
         wanted = MAP_FORMATS[form]
@@ -120,6 +141,7 @@ class Answers:
         Raises:
             BadParameter: x or y is missing or is not a coordinate.
         """
+        self.check_ready()
         _check_names(given, {"x", "y"})
         x, y = (_number(name, given.get(name)) for name in "xy")
         snapshot = self._map.snapshot()
@@ -147,12 +169,14 @@ class Answers:
 
     def quality_fields(self, *, fresh: bool = False) -> dict[str, Any]:
         """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`."""
+        self.check_ready()
         compute = self._map.fresh_quality if fresh else self._map.quality
         series = self._observer.series.columns(self._map.identity()["epoch"])
         return {**compute(self._observer.truth.world), "series": series}
 
     def status_fields(self) -> dict[str, Any]:
         """The mapper's status, not yet encoded."""
+        self.check_ready()
         books = self._receipts.status()
         return {
             "map": self._map_name,

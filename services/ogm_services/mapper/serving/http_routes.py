@@ -18,10 +18,12 @@ from ogm_core.errors import BadParameter, OgmError
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.serving.metrics import prometheus_text
 from ogm_services.mapper.serving.ready_maps import ReadyMaps
-from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.answer import Answer, Parameters, Starting
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
 
 NO_STORE = {"Cache-Control": "no-store"}
+RETRY_AFTER = "2"
+"""When to ask a mapper again that is starting, s."""
 
 log = logging.getLogger(__name__)
 Handler = Callable[[Request], Awaitable[Response]]
@@ -179,7 +181,8 @@ def _probe(healthy: bool, otherwise: str) -> Response:
 
 async def _ogm_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, OgmError)
-    return Response(problem_of(error), status_of(error), media_type=MEDIA_TYPE)
+    later = {"Retry-After": RETRY_AFTER} if isinstance(error, Starting) else None
+    return Response(problem_of(error), status_of(error), later, MEDIA_TYPE)
 
 
 async def _http_error(_: Request, error: Exception) -> Response:

@@ -1,0 +1,81 @@
+"""Kernels, loaded or compiled before anybody needs them: first what scans need, then the rest."""
+
+import logging
+import math
+import threading
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from ogm_core.errors import LimitReached
+from ogm_core.files.map_files import encode_json, encode_png
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Region
+from ogm_core.types import Pose, Scan, Sweep
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.runtime.compilation import compiling_until
+from ogm_services.runtime.signals import MakeWay
+
+log = logging.getLogger(__name__)
+
+
+def warm_up(settings: GridSettings) -> None:
+    """Load or compile every kernel for scans, the status and pictures, on a small map of the same kind."""
+    small, scan, pose = _small(settings)
+    scratch = LiveMap(OccupancyGrid(small))
+    scratch.integrate(scan, pose)
+    scratch.info()
+    encode_png(scratch.snapshot())
+
+
+def warm_up_rest(settings: GridSettings) -> None:
+    """The same for what is rare, or can wait: quality, other formats, sweeps, a map that is full."""
+    small, scan, pose = _small(settings)
+    scratch = LiveMap(OccupancyGrid(small))
+    scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
+    scratch.quality()
+    encode_json(scratch.snapshot(), "", "percent")
+    with suppress(LimitReached):  # a map that is full counts tiles by another kernel
+        OccupancyGrid(replace(small, max_bytes=1)).integrate(scan, pose)
+
+
+class RestOfWarmUp:
+    """`warm_up_rest` on a thread of its own: nobody waits for it. Started once, stopped once."""
+
+    def __init__(self, settings: GridSettings) -> None:
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(settings,), name="ogm-warm-up")
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a kernel that is being compiled is given up."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self, settings: GridSettings) -> None:
+        try:
+            with suppress(MakeWay), compiling_until(self._stopping.is_set):
+                warm_up_rest(settings)
+        except Exception:
+            # A bug of ours: its traceback is kept, and whoever needs these kernels compiles them.
+            log.exception("not every kernel could be made ready")
+
+
+def _small(settings: GridSettings) -> tuple[GridSettings, Scan, Pose]:
+    """Settings of a small map of the same kind, and a scan in its middle: a hit, and no return."""
+    side = 64.0 * settings.resolution
+    small = GridSettings(
+        settings.resolution,
+        settings.cell_model,
+        settings.sensor_model,
+        settings.traversal,
+        bounds=None if settings.bounds is None else Region(0.0, 0.0, side, side),
+        outside=settings.outside,
+    )
+    scan = Scan(0, 0.0, 1.0, 0.0, side / 3, np.array([side / 4, math.inf], np.float32))
+    return small, scan, Pose(side / 2, side / 2, 0.0)

@@ -1,0 +1,76 @@
+"""The first start of a version: it compiles, says so, answers meanwhile, and ends when it is told to."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+
+TIMEOUT = 120.0
+ENDED = 20.0
+"""How long a start may take to end, s: generous, for one that is not interrupted never ends here."""
+WITHOUT_END = """
+import sys
+from numba import njit
+from ogm_services.cli import main
+from ogm_services.mapper import service
+
+def warm_up(settings):
+    while True:
+        njit(lambda x: x + 1)(1)
+        print("compiled", flush=True)
+
+service.warm_up = warm_up
+sys.argv = ["ogm", "mapper", "--http-port", "0", "--listen", "tcp/127.0.0.1:0"]
+main()
+"""
+
+
+def answer(url):
+    """Status and headers of a GET; None if nobody listens yet."""
+    try:
+        with urllib.request.urlopen(url, timeout=TIMEOUT) as response:
+            return response.status, response.headers
+    except urllib.error.HTTPError as error:
+        return error.code, error.headers
+    except OSError:
+        return None
+
+
+def test_it_says_that_it_compiles_and_answers_until_it_is_ready(ogm, eventually, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    flags, url = ("--http-port", port), f"http://127.0.0.1:{port}"
+    first = ogm.mapper(*flags, NUMBA_CACHE_DIR=str(tmp_path / "kernels"))
+    code, headers = eventually(lambda: answer(f"{url}/map.json"), TIMEOUT)
+    assert (code, headers["content-type"]) == (503, "application/problem+json")
+    assert int(headers["retry-after"]) > 0
+    eventually(lambda: answer(f"{url}/readyz")[0] == 200, TIMEOUT)
+    assert answer(f"{url}/map.json")[0] == 200
+    said, done = first.stop().err.splitlines()
+    assert said.startswith("ogm: compiling the map's kernels, once for this version: about ")
+    assert done.startswith("ogm: compiled the map's kernels in ")
+    second = ogm.mapper(NUMBA_CACHE_DIR=str(tmp_path / "kernels"))
+    ogm.ready(second)
+    assert second.stop().err == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_start_that_compiles(number):
+    mapper = subprocess.Popen(
+        [sys.executable, "-c", WITHOUT_END], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert mapper.stdout.readline() == "compiled\n"
+        mapper.send_signal(number)
+        began = time.monotonic()
+        out, err = mapper.communicate(timeout=ENDED)
+    finally:
+        mapper.kill()
+        mapper.wait()
+    assert time.monotonic() - began < ENDED
+    assert (mapper.returncode, "Traceback" in err, "live map" in out) == (0, False, False), err
