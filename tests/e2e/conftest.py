@@ -22,6 +22,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ogm_services.cli import app
+from ogm_services.runtime.kernel_cache import begins_empty
 from ogm_services.settings.sources import without_settings
 
 STARTED = 120.0
@@ -234,6 +235,17 @@ class Ogm:
                 command.kill()
         for command in self._commands:
             assert "Traceback" not in command.wait().err, command.wait().err
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_kernels(tmp_path_factory):
+    """A first start speaks of the compiler on stderr: here it is over before the tests look at theirs."""
+    if begins_empty():
+        started = Ogm(tmp_path_factory.mktemp("first"))
+        try:
+            started.ready(started.mapper())
+        finally:
+            started.close()
 
 
 @pytest.fixture

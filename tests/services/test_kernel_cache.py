@@ -256,6 +256,9 @@ def test_a_folder_says_that_it_is_in_use(places):
         with pytest.raises(BlockingIOError):
             fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
         assert chosen() == folder  # others may use it, too
+    at = (folder / "in-use").stat().st_mtime_ns
+    assert chosen() == folder
+    assert (folder / "in-use").stat().st_mtime_ns == at  # a folder that is full is only read
     with (folder / "in-use").open("a") as other:
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
 

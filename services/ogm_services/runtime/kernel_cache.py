@@ -102,7 +102,7 @@ def _place_of_user() -> Path:
 def _in_use(folder: Path) -> Iterator[None]:
     """Mark a folder as used: its time tells when, and a shared lock that somebody still does."""
     new = not (folder / _LOCK).exists()
-    with (folder / _LOCK).open("w") as lock:
+    with (folder / _LOCK).open("a") as lock:
         fcntl.flock(lock, fcntl.LOCK_SH)
         os.utime(folder)
         if new:
