@@ -251,6 +251,8 @@ def test_a_map_name_must_fit_in_a_key(load):
         (b"map: {resolution: !!int x}", "not YAML"),
         (b"[" * 3000, "not YAML"),
         (b"\xff\xfe\xff", "not YAML"),
+        (b"map: {alpha: 0.1, alpha: 0.2}", "key 'alpha' is given twice"),
+        (b"map: {alpha: 0.1}\nhttp: {port: 1}\nmap: {p_occ: 0.8}", "key 'map' is given twice"),
         (b"- map", "a mapping of names to values is needed"),
         (b"map: 3", "map: a mapping of names to values is needed, got 3"),
         (None, "cannot be read: No such file or directory"),

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ogm_core.errors import BadSetting
-from ogm_core.files.strict_yaml import YAML_ERRORS
+from ogm_core.files.strict_yaml import parse_yaml
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.values import PRESETS
 
@@ -91,11 +90,13 @@ def without_settings(environ: Mapping[str, str]) -> dict[str, str]:
 
 def _from_file(path: Path) -> _Source:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadSetting(f"{path}: cannot be read: {error.strerror}") from None
-    except YAML_ERRORS as error:
-        raise BadSetting(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    except UnicodeDecodeError as error:
+        raise BadSetting(f"{path}: not YAML: it is not UTF-8 text ({error})") from None
+    except ValueError as error:
+        raise BadSetting(f"{path}: {error}") from None
     given: _Source = {}
     for section, values in _mapping(content, f"{path}").items():
         _check_known(f"{path}: ", str(section), SECTIONS)
