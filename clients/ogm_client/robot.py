@@ -60,24 +60,25 @@ class RobotPublisher:
         Raises:
             BadSetting: a name cannot stand in a key, or the address is ill-formed.
             CannotConnect: nothing takes connections at the address.
+            ClientError: the open session is closed.
         """
         self.robot = check_name(robot, "robot")
         self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
         self._keys = MapKeys(map_name)
-        self._open = ExitStack()
         self._closed = False
-        if session is None:
-            self._where = f"at {address}"
-            self._session = open_session(NetworkConfig(connect=(address,)))
-            self._open.callback(self._session.close)
-        else:
-            self._where = "on the open session"
-            self._session = session
         self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
         self._channels: dict[str, _Channel] = {}
         self._channels_lock = threading.Lock()
-        alive = self._keys.alive("robot", self.robot, self.run)
-        self._open.callback(self._session.liveliness().declare_token(alive).undeclare)
+        with ExitStack() as opening:
+            if session is None:
+                self._where = f"at {address}"
+                self._session = open_session(NetworkConfig(connect=(address,)))
+                opening.callback(self._session.close)
+            else:
+                self._where = "on the open session"
+                self._session = session
+            opening.callback(self._declare_alive().undeclare)
+            self._open = opening.pop_all()
 
     def publish_pose(self, x: float, y: float, theta: float, stamp: int | None = None) -> None:
         """Publish the pose of the base in the map frame: metres, and radians counter-clockwise.
@@ -194,6 +195,13 @@ class RobotPublisher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _declare_alive(self) -> zenoh.LivelinessToken:
+        alive = self._keys.alive("robot", self.robot, self.run)
+        try:
+            return self._session.liveliness().declare_token(alive)
+        except zenoh.ZError as error:
+            raise ClientError(f"{alive}: not declared {self._where}: {reason(error)}") from error
 
     def _pose_channel(self) -> "_Channel":
         return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA)

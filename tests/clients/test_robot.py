@@ -8,6 +8,7 @@ import pytest
 import zenoh
 
 from ogm_client import ClientError, NobodyAnswered, RobotPublisher
+from ogm_client import robot as robot_module
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
@@ -260,6 +261,32 @@ def test_a_closed_publisher_says_so(robot, received):
     with pytest.raises(ClientError, match="closed"):
         robot.publish_scan([1.0], **SWEEP)
     received(1)
+
+
+def test_a_session_that_takes_no_token_is_closed_again(monkeypatch):
+    """Left open, it would keep the process from ending."""
+    closed = []
+
+    class NoTokens:
+        def liveliness(self):
+            return self
+
+        def declare_token(self, key):
+            raise zenoh.ZError(f"no token for {key}")
+
+        def close(self):
+            closed.append(True)
+
+    monkeypatch.setattr(robot_module, "open_session", lambda _: NoTokens())
+    with pytest.raises(ClientError, match="alive/robot/r1/one: not declared at tcp/x:1: no token for"):
+        RobotPublisher("r1", address="tcp/x:1", run="one")
+    assert closed == [True]
+
+
+def test_a_closed_session_that_is_given_is_said(listener):
+    listener.close()
+    with pytest.raises(ClientError, match="not declared on the open session: session closed"):
+        RobotPublisher("r1", session=listener)
 
 
 def test_a_session_closed_under_the_publisher_is_said(listener, endpoint):
