@@ -1,5 +1,7 @@
 """Maps over HTTP that have not changed since they were asked for last."""
 
+import re
+
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -61,10 +63,8 @@ class _ReadyMap:
 
     def response_to(self, scope: Scope) -> Response:
         """One of the two, as the request's validators want it; it may be sent any number of times."""
-        for name, value in scope["headers"]:
-            if name == b"if-none-match":
-                return self._not_modified if _matches(value.decode("latin-1"), self._etag) else self._whole
-        return self._whole
+        given = [value.decode("latin-1") for name, value in scope["headers"] if name == b"if-none-match"]
+        return self._not_modified if _matches(given, self._etag) else self._whole
 
 
 def _map_headers(answer: Answer) -> dict[str, str]:
@@ -81,9 +81,9 @@ def _map_headers(answer: Answer) -> dict[str, str]:
     }
 
 
-def _matches(if_none_match: str | None, etag: str) -> bool:
-    """Whether a request's validators name this one (RFC 9110, section 13.1.2: weak comparison)."""
-    if if_none_match is None:
-        return False
-    named = [tag.strip().removeprefix("W/") for tag in if_none_match.split(",")]
-    return etag in named or "*" in named
+def _matches(if_none_match: list[str], etag: str) -> bool:
+    """Whether a request's validators, of all header lines, name this one.
+
+    RFC 9110, section 13.1.2: weak comparison; section 5.3: lines of a list are one list.
+    """
+    return any(line.strip() == "*" or etag in re.findall(r'"[^"]*"', line) for line in if_none_match)
