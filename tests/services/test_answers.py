@@ -283,3 +283,27 @@ def test_an_old_map_does_not_push_out_a_newer_one(desk):
     desk.answers._cache.keep(("png", ()), old, newest)
     assert desk.answers.map("json", {}) is newest
     assert desk.answers._cache.find(("png", ()), old) is None
+
+
+def test_a_map_of_before_a_reset_that_is_encoded_late_does_not_push_out_the_new_ones(desk, monkeypatch):
+    desk.scan(2.0)
+    encode, entered, go_on = answers_module.encode_png, threading.Event(), threading.Event()
+
+    def slow(*arguments):
+        entered.set()
+        assert go_on.wait(10.0)
+        return encode(*arguments)
+
+    monkeypatch.setattr(answers_module, "encode_png", slow)
+    late = []
+    thread = threading.Thread(target=lambda: late.append(desk.answers.map("png", {})))
+    thread.start()
+    assert entered.wait(10.0)
+    desk.live.reset("other")
+    newest = desk.answers.map("json", {})
+    go_on.set()
+    thread.join(10.0)
+    assert late[0].etag == '"epoch-1"'
+    assert newest.etag == '"other-0"'
+    assert desk.answers.map("json", {}) is newest
+    assert desk.encoded == ["json", "png"]

@@ -81,7 +81,7 @@ class Answers:
         self._observer = observer
         self._receipts = receipts
         self._started = time.monotonic()
-        self._cache = _AnswerCache()
+        self._cache = _AnswerCache(self.now)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._ready = ready
 
@@ -198,7 +198,8 @@ class _AnswerCache:
     question, however fast it changes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], Identity]) -> None:
+        self._now = now
         self._lock = threading.Lock()
         self._of = Identity("", -1, None)
         self._answers: dict[object, Answer] = {}
@@ -213,6 +214,9 @@ class _AnswerCache:
     def keep(self, key: object, of: Identity, answer: Answer) -> None:
         size = len(answer.body) + len(repr(key)) + BYTES_BESIDES
         with self._lock:
+            # Asked under the lock: what is kept of a new epoch was kept after the reset that began it.
+            if of.epoch != self._now().epoch:
+                return
             if self._of.epoch == of.epoch and self._of.revision > of.revision:
                 return
             if self._of != of or self._size + size > CACHE_BYTES:
