@@ -25,6 +25,12 @@ class UnknownName(OgmError):
     slug = "not-found"
 
 
+class CrossOrigin(OgmError):
+    """A page of another origin asks a browser to change something here."""
+
+    slug = "cross-origin"
+
+
 class Unavailable(OgmError):
     """The worker did not get to a command: the mapper is stopping, or far behind."""
 

@@ -4,7 +4,7 @@ import http
 import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
-from ogm_services.replies.answer import Unavailable, UnknownName
+from ogm_services.replies.answer import CrossOrigin, Unavailable, UnknownName
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -13,6 +13,7 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (MapEmpty, 404),
     (UnknownName, 404),
     (BadInput, 400),
+    (CrossOrigin, 403),
     (Unavailable, 503),
 )
 

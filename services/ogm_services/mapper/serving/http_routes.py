@@ -18,6 +18,7 @@ from ogm_core.errors import BadParameter, OgmError
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.serving.metrics import prometheus_text
 from ogm_services.mapper.serving.ready_maps import ReadyMaps
+from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.replies.answer import Answer, Parameters, Starting
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
 
@@ -73,6 +74,7 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
         redoc_url=None,
     )
     ready = ReadyMaps(answers)
+    app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
     for form, wanted in MAP_FORMATS.items():
