@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from ogm_core.types import Pose
 
-DropReason = Literal["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside"]
+DropReason = Literal["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"]
 DROP_REASONS: tuple[DropReason, ...] = (
     "malformed",
     "no_pose",
@@ -16,6 +16,7 @@ DROP_REASONS: tuple[DropReason, ...] = (
     "overload",
     "limit",
     "outside",
+    "failed",
 )
 
 

@@ -49,6 +49,9 @@ class ScanPlacer:
 
     One thread calls it. No decision reads a clock: `expire` is told the time. The same messages in the same
     order give the same calls to the sink.
+
+    An error that the sink does not mean, a bug, is counted as its scan's `failed` and raised to the caller,
+    once every other scan that was ready is placed.
     """
 
     def __init__(self, sink: ScanSink, receipts: Receipts, complain: Complain) -> None:
@@ -69,11 +72,17 @@ class ScanPlacer:
             return
         self._receipts.located(name, message.stamp, message.pose)
         waiting, robot.waiting = robot.waiting, []
+        bugs = []
         for sensor, scan in waiting:
             if _ready_at(scan) <= message.stamp:
-                self._place(name, robot, sensor, scan)
+                try:
+                    self._place(name, robot, sensor, scan)
+                except Exception as bug:  # noqa: BLE001 (raised below)
+                    bugs.append(bug)
             else:
                 robot.waiting.append((sensor, scan))
+        if bugs:
+            raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
 
     def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
@@ -83,7 +92,7 @@ class ScanPlacer:
             self._drop(name, sensor, "duplicate")
         elif scan.pose is not None:
             self._receipts.located(name, scan.stamp, scan.pose)
-            self._integrate(name, sensor, scan, scan.pose)
+            self._place(name, robot, sensor, scan)
         elif robot.poses.newest is not None and _ready_at(scan) <= robot.poses.newest:
             self._place(name, robot, sensor, scan)
         elif robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
@@ -130,11 +139,22 @@ class ScanPlacer:
             self._drop(name, sensor, "no_pose")
 
     def _give_up(self, name: str, robot: _Robot) -> None:
-        for sensor, _ in robot.waiting:
+        waiting, robot.waiting = robot.waiting, []
+        for sensor, _ in waiting:
             self._drop(name, sensor, "no_pose")
-        robot.waiting = []
 
     def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
+        """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
+        try:
+            if scan.pose is None:
+                self._place_by_poses(name, robot, sensor, scan)
+            else:
+                self._integrate(name, sensor, scan, scan.pose)
+        except Exception:
+            self._receipts.scan_dropped(name, sensor, "failed")
+            raise
+
+    def _place_by_poses(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
         """Integrate a scan whose poses have all arrived, at the base pose of its stamp."""
         if robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
             self._drop(name, sensor, "stale")

@@ -17,7 +17,9 @@ def test_an_empty_ledger_has_every_name_of_the_status():
         "other": {"ignored": 0},
         "robots": {},
     }
-    assert DROP_REASONS == ("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside")
+    assert (
+        *("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"),
+    ) == DROP_REASONS
 
 
 def test_scans_are_counted_by_source_and_in_total():

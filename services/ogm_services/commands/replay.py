@@ -33,7 +33,7 @@ PATIENCE_WITH_POSES = 600.0
 """How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
 POLL = 0.002
 
-_FATAL = ("malformed", "overload")
+_FATAL = ("malformed", "overload", "failed")
 
 
 class ReplayFailed(OgmError):
@@ -71,7 +71,7 @@ def run_replay(
     Raises:
         BadRecording: the log cannot be read, or holds no scan; nothing is sent.
         CannotConnect, NobodyAnswered: no mapper is there.
-        ReplayFailed: a scan was never received, or was dropped as malformed or for overload.
+        ReplayFailed: a scan was never received, or was dropped as malformed, for overload or by a bug.
     """
 
     def reader() -> RecordingReader:

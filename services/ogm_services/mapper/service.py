@@ -52,6 +52,12 @@ GRACE = 2
 log = logging.getLogger(__name__)
 
 
+class ServiceStopped(OgmError):
+    """A thread without which the mapper is of no use has ended by itself."""
+
+    slug = "service-stopped"
+
+
 class CannotServe(OgmError):
     """The HTTP address cannot be used."""
 
@@ -65,6 +71,7 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
         CannotServe, CannotListen, CannotConnect: an address is taken or unreachable.
         AlreadyMapped: another mapper of this map is alive.
         BadInput: the folder `out` cannot be written, or the map that it starts with is not what is needed.
+        ServiceStopped: it ended by itself; the map's files are written all the same.
     """
     if out is not None:
         check_folder(out)
@@ -126,10 +133,16 @@ class MapperService:
         return self._ready.is_set()
 
     def wait(self) -> None:
-        """Sleep until KeyboardInterrupt."""
+        """Sleep until KeyboardInterrupt.
+
+        Raises:
+            ServiceStopped: the worker or HTTP has ended.
+        """
         # Signals may be handed to any thread; Python sees to them when the main thread wakes up.
         while not threading.Event().wait(WAKE_PERIOD):
-            pass
+            for name, alive in (("the worker", self._worker.alive), ("HTTP", self._http_thread.alive)):
+                if not alive:
+                    raise ServiceStopped(f"{name} has stopped by itself, so the mapper ends: start it again")
 
     def reset(self) -> None:
         """Empty the map, after every message that has arrived."""
@@ -169,7 +182,7 @@ class MapperService:
 
     def _http(self, listener: socket.socket) -> "_HttpThread":
         health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
-        return _HttpThread(
+        self._http_thread = _HttpThread(
             uvicorn.Config(
                 build_app(self.answers, health, self.reset),
                 log_level="warning",
@@ -179,6 +192,7 @@ class MapperService:
             ),
             listener,
         )
+        return self._http_thread
 
 
 class _HttpThread:
@@ -188,6 +202,11 @@ class _HttpThread:
         logging.getLogger("uvicorn.error").addFilter(_not_cut_off)
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")
+
+    @property
+    def alive(self) -> bool:
+        """Whether anybody is answered."""
+        return self._thread.is_alive()
 
     def __enter__(self) -> None:
         self._thread.start()

@@ -20,13 +20,25 @@ class LimitedLog:
 
     def warning(self, source: str, text: str) -> None:
         """Log `text` about `source`, unless it was complained about just now."""
+        line = self._due(source, f"{source}: {text}")
+        if line is not None:
+            self._log.warning("%s", line)
+
+    def failure(self, what: str) -> None:
+        """Log that `what` failed, with the traceback of the error in hand, unless it failed just now."""
+        line = self._due(what, f"{what} failed")
+        if line is not None:
+            self._log.exception("%s", line)
+
+    def _due(self, source: str, text: str) -> str | None:
+        """The line to log about a source; None if there was one just now."""
         now = time.monotonic()
         if now - self._last.get(source, -self._period) < self._period:
             self._passed_over[source] = self._passed_over.get(source, 0) + 1
-            return
+            return None
         if len(self._last) >= MAX_SOURCES:
             self._last.clear()
             self._passed_over.clear()
         more = self._passed_over.pop(source, 0)
         self._last[source] = now
-        self._log.warning("%s: %s%s", source, text, f" ({more} more were not logged)" if more else "")
+        return f"{text} ({more} more were not logged)" if more else text

@@ -3,8 +3,9 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
+from contextlib import contextmanager
 
 from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
@@ -32,6 +33,7 @@ class Worker:
         self._max_beams = max_beams
         self._pose_wait = pose_wait
         self._complaints = LimitedLog(log)
+        self._bugs = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name="ogm-worker")
 
     @property
@@ -82,37 +84,52 @@ class Worker:
             if item is not None:
                 now = item.arrival
             if now - looked >= LOOK_PERIOD:
-                self._mapper.expire(now, self._pose_wait)
                 looked = now
+                with self._surviving("a look for silent robots"):
+                    self._mapper.expire(now, self._pose_wait)
             if item is not None:
-                try:
-                    self._work_on(item)
-                except Exception:
-                    # A bug of ours: its traceback is kept, and it harms one message, not the map.
-                    log.exception(
-                        "%s failed", "a command" if item.source is None else f"a message of {item.source}"
-                    )
+                self._work_on(item)
 
     def _work_on(self, item: Message) -> None:
         if item.command is not None:
-            item.command()
+            with self._surviving("a command"):
+                item.command()
         elif item.source is not None:
-            self._handle(item, *item.source)
+            robot, sensor = item.source
+            with self._surviving(f"a message of {robot}/{sensor or 'pose'}"):
+                self._mapper.heard(robot, item.arrival)
+                if sensor is None:
+                    self._take_pose(robot, item.payload)
+                else:
+                    self._take_scan(robot, sensor, item.payload)
 
-    def _handle(self, item: Message, robot: str, sensor: str | None) -> None:
-        """Decode a message and hand it to the mapper; a bad one is counted."""
-        self._mapper.heard(robot, item.arrival)
+    @contextmanager
+    def _surviving(self, what: str) -> Iterator[None]:
+        """Log an error that nobody meant, a bug of ours: it harms what is done inside, not the map."""
         try:
-            if sensor is None:
-                self._mapper.add_pose(robot, decode_pose(item.payload))
-            else:
-                self._mapper.add_scan(robot, sensor, decode_scan(item.payload, max_beams=self._max_beams))
-        except BadMessage as error:
-            self._refuse(robot, sensor)
-            self._complaints.warning(f"{robot}/{sensor or 'pose'}", str(error))
+            yield
+        except Exception:  # noqa: BLE001 (logged with its traceback)
+            self._bugs.failure(what)
 
-    def _refuse(self, robot: str, sensor: str | None) -> None:
-        if sensor is None:
+    def _take_pose(self, robot: str, payload: bytes) -> None:
+        """Decode a pose and hand it to the mapper; a bad one is counted."""
+        try:
+            message = decode_pose(payload)
+        except BadMessage as error:
             self._receipts.pose_refused("malformed")
+            self._complaints.warning(f"{robot}/pose", str(error))
         else:
+            self._mapper.add_pose(robot, message)
+
+    def _take_scan(self, robot: str, sensor: str, payload: bytes) -> None:
+        """Decode a scan and hand it to the mapper; a bad one is counted."""
+        try:
+            scan = decode_scan(payload, max_beams=self._max_beams)
+        except BadMessage as error:
             self._receipts.scan_dropped(robot, sensor, "malformed")
+            self._complaints.warning(f"{robot}/{sensor}", str(error))
+        except Exception:
+            self._receipts.scan_dropped(robot, sensor, "failed")
+            raise
+        else:
+            self._mapper.add_scan(robot, sensor, scan)
