@@ -19,6 +19,10 @@ SCAN_SCHEMA = "ogm.Scan.v1"
 MAX_RANGE = 1000.0
 """The largest `range_max`, m."""
 DEFAULT_MAX_BEAMS = 200_000
+MAX_POSE_BYTES = 1024
+"""The longest pose message."""
+_SCAN_BYTES_BESIDES = 4096
+"""What a scan message takes beside its ranges, at most."""
 _INT_END = 2**63
 
 Fields = Mapping[str, Any]
@@ -56,13 +60,30 @@ def scan_fields(scan: Scan) -> dict[str, Any]:
     return fields
 
 
+def max_scan_bytes(max_beams: int) -> int:
+    """The longest message of a scan of up to `max_beams` beams, bytes."""
+    return 4 * max_beams + _SCAN_BYTES_BESIDES
+
+
+def check_length(length: int, longest: int) -> None:
+    """Check how long a message is, which can be told before it is copied; lengths in bytes.
+
+    Raises:
+        BadMessage: it is longer than any of its kind.
+    """
+    if length > longest:
+        raise BadMessage(f"payload: at most {longest} bytes are needed, got {length}")
+
+
 def decode_pose(payload: bytes) -> PoseStamped:
     """Read a pose message.
 
     Raises:
         BadMessage: it is not one; the text names the field.
     """
-    return pose_from_fields(_unpack(payload))
+    message = pose_from_fields(_unpack(payload))
+    check_length(len(payload), MAX_POSE_BYTES)
+    return message
 
 
 def decode_scan(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
@@ -77,7 +98,9 @@ def decode_scan(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
         raise BadMessage(f"ranges: bytes of little-endian float32 are needed, got {_kind(ranges)}")
     if len(ranges) % 4:
         raise BadMessage(f"ranges: {len(ranges)} bytes are not a whole number of float32")
-    return scan_from_fields(fields, np.frombuffer(ranges, "<f4"), max_beams=max_beams)
+    scan = scan_from_fields(fields, np.frombuffer(ranges, "<f4"), max_beams=max_beams)
+    check_length(len(payload), max_scan_bytes(max_beams))
+    return scan
 
 
 def pose_from_fields(fields: Fields) -> PoseStamped:

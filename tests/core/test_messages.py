@@ -195,6 +195,20 @@ def test_beams_are_counted():
         decode_scan(data)
 
 
+def test_a_message_is_no_longer_than_its_kind_can_be():
+    empty = len(payload(SCAN_FIELDS, ranges=bytes(4000), pad=bytes(1000))) - 1000
+    room = messages.max_scan_bytes(1000) - empty
+    assert messages.max_scan_bytes(1000) == 8096
+    longest = payload(SCAN_FIELDS, ranges=bytes(4000), pad=bytes(room))
+    assert decode_scan(longest, max_beams=1000).ranges.size == 1000
+    with pytest.raises(BadMessage, match=r"^payload: at most 8096 bytes are needed, got 8097$"):
+        decode_scan(payload(SCAN_FIELDS, ranges=bytes(4000), pad=bytes(room + 1)), max_beams=1000)
+    run = "x" * (1024 - len(payload(POSE_FIELDS, run="x" * 500)) + 500)
+    assert decode_pose(payload(POSE_FIELDS, run=run)).run == run
+    with pytest.raises(BadMessage, match=r"^payload: at most 1024 bytes are needed, got 1025$"):
+        decode_pose(payload(POSE_FIELDS, run=run + "x"))
+
+
 def test_bytes_are_little_endian():
     assert scan_with(ranges=b"\x00\x00\x80\x3f\x00\x00\x00\x40").ranges.tolist() == [1.0, 2.0]
 

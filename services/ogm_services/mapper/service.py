@@ -158,7 +158,9 @@ class MapperService:
         keys = MapKeys(network.map_name)
         routes = ZenohRoutes(session, keys)
         opening.callback(routes.close)
-        subscriber = ZenohSubscriber(session, keys, self._queue, self._receipts)
+        subscriber = ZenohSubscriber(
+            session, keys, self._queue, self._receipts, self._settings.mapper.max_beams
+        )
         opening.callback(subscriber.close)
         routes.claim()
         opening.enter_context(self._http(listener))

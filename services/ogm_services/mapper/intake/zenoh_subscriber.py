@@ -7,8 +7,10 @@ from functools import lru_cache
 
 import zenoh
 
+from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
-from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.keys import MapKeys, Source
+from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.runtime.limited_log import LimitedLog
 
@@ -21,15 +23,19 @@ log = logging.getLogger(__name__)
 class ZenohSubscriber:
     """Takes poses and scans alike, so that their order is kept, until `close`.
 
-    Zenoh's thread calls the callback, which only counts and enqueues: it would hold up the link.
+    Zenoh's thread calls the callback, which only counts and enqueues: it would hold up the link. What is
+    longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied.
     """
 
-    def __init__(self, session: zenoh.Session, keys: MapKeys, queue: ScanQueue, receipts: Receipts) -> None:
+    def __init__(
+        self, session: zenoh.Session, keys: MapKeys, queue: ScanQueue, receipts: Receipts, max_beams: int
+    ) -> None:
         self._session = session
         self._keys = keys
         self._source_of = lru_cache(MAX_SOURCES)(keys.source_of)
         self._queue = queue
         self._receipts = receipts
+        self._max_scan_bytes = max_scan_bytes(max_beams)
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
 
@@ -51,8 +57,24 @@ class ZenohSubscriber:
             self._receipts.pose_received(source.robot)
         else:
             self._receipts.scan_received(source.robot, source.sensor)
+        if self._too_long(source, len(sample.payload)):
+            return
         item = Message(source, sample.payload.to_bytes(), time.monotonic())
         for robot, sensor in self._queue.put(item):
             if sensor is not None:
                 self._receipts.scan_dropped(robot, sensor, "overload")
                 self._complaints.warning(f"{robot}/{sensor}", "the queue is full, its oldest scan is dropped")
+
+    def _too_long(self, source: Source, length: int) -> bool:
+        """Whether a message cannot be one of its kind, because of its length in bytes; it is counted."""
+        robot, sensor = source
+        try:
+            check_length(length, MAX_POSE_BYTES if sensor is None else self._max_scan_bytes)
+        except BadMessage as error:
+            if sensor is None:
+                self._receipts.pose_refused("malformed")
+            else:
+                self._receipts.scan_dropped(robot, sensor, "malformed")
+            self._complaints.warning(f"{robot}/{sensor or 'pose'}", str(error))
+            return True
+        return False
