@@ -31,6 +31,12 @@ class CrossOrigin(OgmError):
     slug = "cross-origin"
 
 
+class Busy(OgmError):
+    """So many questions wait for an answer already that no more are taken."""
+
+    slug = "busy"
+
+
 class Unavailable(OgmError):
     """The worker did not get to a command: the mapper is stopping, or far behind."""
 

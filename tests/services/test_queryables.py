@@ -1,0 +1,82 @@
+"""Queries of a service that is busy: so many wait, the others are refused, and each gets a reply."""
+
+import json
+import threading
+
+import pytest
+import zenoh
+
+from ogm_client.session import NetworkConfig, open_session
+from ogm_services.replies.answer import Answer
+from ogm_services.replies.queryables import MAX_WAITING, Queryables
+
+KEY = "ogm/v1/hall/slow"
+DEADLINE = 20.0
+
+
+class SlowService:
+    """Answers every query with its number, once it may; two threads."""
+
+    def __init__(self, session):
+        self.go_on = threading.Event()
+        self.begun = 0
+        self.queryables = Queryables(session, threads=2)
+        self.queryables.declare(KEY, self._answer)
+
+    def _answer(self, given):
+        self.begun += 1
+        assert self.go_on.wait(DEADLINE)
+        return Answer(given["n"].encode(), "text/plain")
+
+
+@pytest.fixture
+def service(listener):
+    service = SlowService(listener)
+    yield service
+    service.go_on.set()
+    service.queryables.close()
+
+
+@pytest.fixture
+def ask(endpoint):
+    """`ask(n)` sends a query; the replies to all of them are gathered in the order in which they come."""
+    replies = []
+    with open_session(NetworkConfig(connect=(endpoint,))) as session:
+
+        def send(number):
+            handler = zenoh.handlers.Callback(replies.append, indirect=False)
+            session.get(f"{KEY}?n={number}", handler, timeout=DEADLINE)
+            return replies
+
+        yield send
+
+
+def test_past_so_many_that_wait_queries_are_refused_at_once_and_all_others_answered(service, ask, eventually):
+    room = 2 + MAX_WAITING
+    assert MAX_WAITING == 64
+    for number in range(room):
+        ask(number)
+    for number in range(3):
+        replies = ask(room + number)
+    eventually(lambda: len(replies) == 3, DEADLINE)  # while not one of the others has an answer
+    for reply in replies:
+        assert str(reply.err.encoding) == "application/problem+json"
+        problem = json.loads(reply.err.payload.to_bytes())
+        assert (problem["type"], problem["status"], problem["title"]) == ("busy", 503, "Service Unavailable")
+        assert problem["detail"] == f"{KEY}: 64 queries wait for an answer already: try again later"
+    assert service.begun == 2
+    service.go_on.set()
+    eventually(lambda: len(replies) == room + 3, DEADLINE)
+    answers = sorted(int(reply.ok.payload.to_string()) for reply in replies[3:])
+    assert answers == list(range(room))
+    ask("again")
+    eventually(lambda: len(replies) == room + 4, DEADLINE)
+    assert replies[-1].ok.payload.to_string() == "again"
+
+
+def test_a_query_of_a_service_that_stops_is_told(service, ask, eventually):
+    service.queryables._pool.shutdown()
+    replies = ask(0)
+    eventually(lambda: len(replies) == 1, DEADLINE)
+    problem = json.loads(replies[0].err.payload.to_bytes())
+    assert (problem["type"], problem["detail"]) == ("unavailable", f"{KEY}: the service is stopping")
