@@ -18,6 +18,7 @@ from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.signals import running_service
+from ogm_services.runtime.terminal import outlive_terminal
 from ogm_services.settings.flags import (
     ConfigFile,
     HttpFlags,
@@ -42,6 +43,7 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the program."""
+    outlive_terminal()
     app(prog_name="ogm")
 
 

@@ -5,12 +5,16 @@ import typer
 
 from ogm_services.runtime.signals import held_signals, running_service
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 @pytest.fixture(autouse=True)
 def handlers():
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield before
-    for number, handler in before.items():
+    """Handlers as a shell leaves them, whatever has started these tests."""
+    kept = {number: signal.getsignal(number) for number in ENDING}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield {**kept, signal.SIGHUP: signal.SIG_DFL}
+    for number, handler in kept.items():
         signal.signal(number, handler)
 
 
@@ -21,7 +25,7 @@ def ended(serve, **options):
     return end.value.exit_code
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", ENDING)
 def test_a_signal_ends_a_service_and_the_next_ones_do_nothing(number):
     reached = []
 
@@ -32,6 +36,7 @@ def test_a_signal_ends_a_service_and_the_next_ones_do_nothing(number):
         finally:
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGHUP)
             reached.append("stopped in order")
 
     assert ended(serve, interrupted=7) == 7
@@ -41,11 +46,12 @@ def test_a_signal_ends_a_service_and_the_next_ones_do_nothing(number):
 
 def test_a_service_that_ends_by_itself_leaves_the_handlers_as_they_were(handlers):
     with running_service():
-        assert signal.getsignal(signal.SIGTERM) is not handlers[signal.SIGTERM]
+        for number in ENDING:
+            assert signal.getsignal(number) is not handlers[number]
     assert {number: signal.getsignal(number) for number in handlers} == handlers
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", ENDING)
 def test_held_signals_come_when_what_runs_inside_is_done(number):
     reached = []
 
@@ -63,3 +69,20 @@ def test_nothing_held_nothing_raised(handlers):
     with held_signals():
         pass
     assert {number: signal.getsignal(number) for number in handlers} == handlers
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing_and_hides_no_other_signal():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    reached = []
+
+    def serve():
+        signal.raise_signal(signal.SIGHUP)
+        reached.append("after the first")
+        with held_signals():
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGTERM)
+        reached.append("never")
+
+    assert ended(serve, interrupted=7) == 7
+    assert reached == ["after the first"]
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN

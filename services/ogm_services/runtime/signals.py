@@ -8,12 +8,14 @@ from contextlib import contextmanager, suppress
 
 import typer
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
 def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterator[None]:
-    """Log to stderr; Ctrl-C and SIGTERM alike end what runs inside, with exit code `interrupted`.
+    """Log to stderr; Ctrl-C, SIGTERM and SIGHUP alike end what runs inside, with exit code `interrupted`.
+
+    SIGHUP comes when the terminal is closed; where it is ignored from the start, as under nohup, it stays so.
 
     Without `logging_too` nothing is logged: what runs inside says at its end what there was to say. A second
     signal is ignored, to the process's end: what runs inside then stops already, in bounded time, and may be
@@ -31,7 +33,7 @@ def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterat
             ending = True
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in _ENDING}
+    before = {number: signal.signal(number, interrupt) for number in _ending_signals()}
     try:
         yield
     except KeyboardInterrupt:
@@ -47,7 +49,7 @@ class MakeWay(BaseException):
 
 @contextmanager
 def held_signals() -> Iterator[list[int]]:
-    """Put off Ctrl-C and SIGTERM until what runs inside is done, or gives up by MakeWay.
+    """Put off Ctrl-C, SIGTERM and SIGHUP until what runs inside is done, or gives up by MakeWay.
 
     Inside, the list holds the numbers of the signals that have come.
 
@@ -63,7 +65,7 @@ def held_signals() -> Iterator[list[int]]:
     def hold(number: int, _: object) -> None:
         held.append(number)
 
-    before = {number: signal.signal(number, hold) for number in _ENDING}
+    before = {number: signal.signal(number, hold) for number in _ending_signals()}
     try:
         with suppress(MakeWay):
             yield held
@@ -72,3 +74,12 @@ def held_signals() -> Iterator[list[int]]:
             signal.signal(number, handler)
     if held:
         signal.raise_signal(held[0])
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """The signals that end a command: not SIGHUP, where who started it wants it to outlive its terminal."""
+    return [
+        number
+        for number in _ENDING
+        if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+    ]
