@@ -1,12 +1,10 @@
-"""Ranges out of a log's text, a whole sweep at once, where they are plain decimals; it loads numba.
+"""Ranges out of a CARMEN log's text, a whole sweep at once, where they are plain decimals; it loads numba.
 
-A plain decimal is `-`, digits, `.`, digits, as both Python and JSON read it: no exponent, no `+`, no leading
-zero, a digit on either side of the point. Its digits are a whole number m below 2^53 and its value m / 10^k
-with k <= 22, both of which are exact in float64, so that one division gives the very number that Python reads
-(Clinger 1990, section 3). All else is left to whoever reads with care.
+A plain decimal is `-`, digits, `.`, digits: no exponent, no `+`, no leading zero, a digit on either side of
+the point. Its digits are a whole number m below 2^53 and its value m / 10^k with k <= 22, both of which are
+exact in float64, so that one division gives the very number that Python reads (Clinger 1990, section 3). All
+else is left to whoever reads with care.
 """
-
-import math
 
 import numpy as np
 from numba import njit
@@ -17,18 +15,16 @@ from ogm_core.types import Ranges
 _EXACT = 2**53
 _MAX_PLACES = 22
 _POWERS_OF_TEN = 10.0 ** np.arange(_MAX_PLACES + 1)
-_SPACE, _TAB, _COMMA, _QUOTE, _MINUS, _POINT, _ZERO = b' \t,"-.0'
-_A, _F, _I, _N = b"afin"
+_SPACE, _TAB, _MINUS, _POINT, _ZERO = b" \t-.0"
 
 
-def read_decimals(text: bytes, count: int, *, commas: bool = False) -> tuple[Ranges, int] | None:
-    """The `count` plain decimals that `text` begins with, as float32, and where the last one ends.
+def read_decimals(text: bytes, count: int) -> tuple[Ranges, int] | None:
+    """The `count` plain decimals, between blanks, that `text` begins with: float32, and where the last ends.
 
-    They stand between blanks; or between `commas`, and "inf", "-inf" and "nan", quotes included, among them.
     None if there are fewer, or one of them is not plain.
     """
     ranges = np.empty(count, np.float32)
-    end = _read(np.frombuffer(text, np.uint8), commas, ranges)
+    end = _read(np.frombuffer(text, np.uint8), ranges)
     if end < 0:
         return None
     ranges.flags.writeable = False
@@ -36,20 +32,15 @@ def read_decimals(text: bytes, count: int, *, commas: bool = False) -> tuple[Ran
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _read(text: NDArray[np.uint8], commas: bool, numbers: Ranges) -> int:
+def _read(text: NDArray[np.uint8], numbers: Ranges) -> int:
     """Fill `numbers`; return the place after the last one, or -1 if it is not to be read here."""
     at = 0
     for n in range(numbers.size):
         begin = at
         at = _after_blanks(text, at)
-        if n and commas:
-            if at == text.size or text[at] != _COMMA:
-                return -1
-            at = _after_blanks(text, at + 1)
-        elif n and at == begin:
+        if n and at == begin:
             return -1
-        quoted = commas and at < text.size and text[at] == _QUOTE
-        number, at = _not_finite(text, at) if quoted else _decimal(text, at)
+        number, at = _decimal(text, at)
         if at < 0:
             return -1
         numbers[n] = number
@@ -85,20 +76,6 @@ def _decimal(text: NDArray[np.uint8], at: int) -> tuple[float, int]:
         at += 1
     leading_zero = at > first + 1 and text[first] == _ZERO and text[first + 1] != _POINT
     if at == first or leading_zero or places == 0 or places > _MAX_PLACES or (negative and digits == 0):
-        return 0.0, -1  # of "-0" JSON makes a whole number, without the sign
+        return 0.0, -1  # the sign of "-0" would be lost
     number = digits / _POWERS_OF_TEN[max(places, 0)]
     return -number if negative else number, at
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _not_finite(text: NDArray[np.uint8], at: int) -> tuple[float, int]:
-    """What the word in quotes at a place stands for, likewise."""
-    negative = at + 1 < text.size and text[at + 1] == _MINUS
-    at += 1 + negative
-    if at + 3 >= text.size or text[at + 3] != _QUOTE:
-        return 0.0, -1
-    if text[at] == _I and text[at + 1] == _N and text[at + 2] == _F:
-        return -math.inf if negative else math.inf, at + 4
-    if text[at] == _N and text[at + 1] == _A and text[at + 2] == _N and not negative:
-        return math.nan, at + 4
-    return 0.0, -1

@@ -5,43 +5,52 @@
 
 import json
 import math
-import re
 from typing import Any, NoReturn, cast
 
 import numpy as np
+import orjson
 
 from ogm_core.errors import BadMessage
-from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan, text_ranges
+from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan, text_ranges
 from ogm_core.types import Ranges
 from ogm_core.wire.keys import NAME
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_fields, scan_from_fields
 
-_RANGES = re.compile(rb'"ranges"\s*:\s*\[')
+_DEEP = 100
+"""A line of more brackets is left to Python's reader, which lets them nest less deep."""
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
 def parse_line(
-    line: bytes,
-    *,
-    range_max: float | None = None,
-    max_beams: int = DEFAULT_MAX_BEAMS,
-    decimals: ReadDecimals | None = None,
+    line: bytes, *, range_max: float | None = None, max_beams: int = DEFAULT_MAX_BEAMS
 ) -> Recorded | None:
     """Read one line; None if it is blank. `range_max` (m) replaces a scan's own.
-
-    `decimals` reads the ranges of most scans at once; without it, and where it cannot, JSON's reader does.
 
     Raises:
         BadMessage: it is not JSON, or not a well-formed message.
     """
     if not line.strip():
         return None
-    if decimals is not None and (cut := _cut(line, decimals)) is not None:
+    if (fields := _quickly(line)) is not None:
         try:
-            return _recorded(*cut, range_max, max_beams)
+            return _recorded(fields, range_max, max_beams)
         except BadMessage:
-            pass  # the whole line says better what is wrong
-    return _recorded(_fields(line), None, range_max, max_beams)
+            pass  # of a whole number beyond 64 bits orjson makes a float; json says better what is wrong
+    return _recorded(_fields(line), range_max, max_beams)
+
+
+def _quickly(line: bytes) -> dict[str, Any] | None:
+    """A line's fields as orjson reads them; None if they are left to `_fields`.
+
+    What it refuses may be a line nevertheless: half a surrogate pair, a number beyond float64.
+    """
+    if line.count(b"[") + line.count(b"{") > _DEEP:
+        return None
+    try:
+        fields = orjson.loads(line)
+    except orjson.JSONDecodeError:
+        return None
+    return fields if isinstance(fields, dict) else None
 
 
 def _fields(line: bytes) -> dict[str, Any]:
@@ -56,28 +65,8 @@ def _fields(line: bytes) -> dict[str, Any]:
     return fields
 
 
-def _cut(line: bytes, decimals: ReadDecimals) -> tuple[dict[str, Any], Ranges] | None:
-    """A scan's fields, and its ranges read at once; None if that cannot be, or the line is not JSON."""
-    found = _RANGES.search(line)
-    end = -1 if found is None else line.find(b"]", found.end())
-    # Without a backslash what looks like this name is it; once in the line, and at its top, it is the scan's.
-    if found is None or end < 0 or b"\\" in line or line.count(b'"ranges"') > 1:
-        return None
-    text = line[found.end() : end]
-    ranges_and_end = decimals(text, text.count(b",") + 1, commas=True)
-    if ranges_and_end is None or text[ranges_and_end[1] :].strip(b" \t"):
-        return None
-    try:
-        fields = _fields(line[: found.end()] + line[end:])
-    except BadMessage:
-        return None
-    return (fields, ranges_and_end[0]) if "ranges" in fields else None
-
-
-def _recorded(
-    fields: dict[str, Any], ranges: Ranges | None, range_max: float | None, max_beams: int
-) -> Recorded:
-    """The message that a line's fields are; `ranges`, if they were read already."""
+def _recorded(fields: dict[str, Any], range_max: float | None, max_beams: int) -> Recorded:
+    """The message that a line's fields are."""
     match fields.get("type"):
         case "pose":
             return RecordedPose(_name(fields, "robot"), pose_from_fields(fields))
@@ -85,10 +74,8 @@ def _recorded(
             robot, sensor = _name(fields, "robot"), _name(fields, "sensor")
             if range_max is not None:
                 fields["range_max"] = range_max
-            if ranges is None:
-                ranges = _ranges(fields.get("ranges"))
-            scan = scan_from_fields(fields, ranges, max_beams=max_beams)
-            return RecordedScan(robot, sensor, scan)
+            ranges = _ranges(fields.get("ranges"))
+            return RecordedScan(robot, sensor, scan_from_fields(fields, ranges, max_beams=max_beams))
         case other:
             raise BadMessage(f"type: 'pose' or 'scan' is needed, got {_shown(other)}")
 

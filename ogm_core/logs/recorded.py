@@ -30,9 +30,9 @@ Recorded = RecordedPose | RecordedScan
 
 
 class ReadDecimals(Protocol):
-    """`decimals.read_decimals`, for those who read a log so fast that loading numba pays."""
+    """`decimals.read_decimals`, for those who read a CARMEN log so fast that loading numba pays."""
 
-    def __call__(self, text: bytes, count: int, *, commas: bool = False) -> tuple[Ranges, int] | None:
+    def __call__(self, text: bytes, count: int) -> tuple[Ranges, int] | None:
         """Read the `count` plain decimals that a text begins with, or None; and say where the last ends."""
         ...
 

@@ -5,8 +5,8 @@ may be wrong, repeated or zero, so the order of the lines is the order of the me
 """
 
 import gzip
+import io
 import os
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -16,6 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, BinaryIO, Self
 
+from isal import igzip, isal_zlib
+
 from ogm_core.errors import BadMessage, BadRecording, BadSetting
 from ogm_core.logs import jsonlines
 from ogm_core.logs.carmen import LASERS_READ, CarmenLog
@@ -23,6 +25,7 @@ from ogm_core.logs.carmen_mount import mount_of_laser
 from ogm_core.logs.jsonlines import to_line
 from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan
 from ogm_core.logs.sniff import CARMEN_SUFFIXES, HEAD, JSON_SUFFIXES, folder, hint, why_not
+from ogm_core.logs.unpacking import GzipContent
 from ogm_core.types import IDENTITY
 from ogm_core.wire.keys import check_name
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
@@ -43,6 +46,7 @@ MAX_COMPLAINTS = 5
 """How many malformed lines a reader quotes; it counts them all."""
 _QUOTED = 200  # characters of a complaint: a line may hold anything, at any length
 _SHOWN = 8  # names of messages that are not read
+_BUFFER = 128 * 1024  # bytes of a log's text that are unpacked at once
 
 Complain = Callable[[int, str], None]
 """Called with the number of a malformed line, from 1, and what is wrong with it."""
@@ -70,7 +74,7 @@ class RecordingReader:
     Use it in a `with`, and iterate over it there: it yields RecordedPose and RecordedScan. `range_max` (m)
     replaces that of every scan; `robot` renames the log's one robot. With `odometry` the ODOM lines of a
     CARMEN log are the poses, and its scans carry none; such a log is read twice. `decimals`, as of
-    decimals.read_decimals, reads ranges faster, and the same.
+    decimals.read_decimals, reads the ranges of a CARMEN log faster, and the same.
 
     `scans` and `poses` count what was read so far, `malformed` the lines that were passed over, and
     `complaints` says what was wrong with the first of them. `size` is the file's size on disk in bytes.
@@ -184,12 +188,7 @@ class RecordingReader:
         if self._carmen is not None:
             parse = self._carmen.parse_line
         else:
-            parse = partial(
-                jsonlines.parse_line,
-                range_max=self._range_max,
-                max_beams=self._max_beams,
-                decimals=self._decimals,
-            )
+            parse = partial(jsonlines.parse_line, range_max=self._range_max, max_beams=self._max_beams)
         for recorded in read_lines(self._lines(), parse, self._complain):
             renamed = self._rename(recorded)
             if isinstance(recorded, RecordedScan):
@@ -203,15 +202,15 @@ class RecordingReader:
     def _lines(self) -> Iterator[bytes]:
         if self._file is None:
             raise ValueError("a RecordingReader is read inside its `with`")
-        lines: IO[bytes] | gzip.GzipFile = self._file
+        lines: IO[bytes] = self._file
         if self._named((".gz",)):
-            lines = gzip.GzipFile(fileobj=self._file, mode="rb")
+            lines = io.BufferedReader(GzipContent(self._file), _BUFFER)
         try:
             for line in lines:  # noqa: UP028 (`yield from` would close the file along with this generator)
                 yield line
         except EOFError as error:
             raise BadRecording(f"{self.path}: truncated, its gzip stream ends too early") from error
-        except (gzip.BadGzipFile, zlib.error) as error:
+        except gzip.BadGzipFile as error:
             raise BadRecording(f"{self.path}: not gzip, or corrupt ({error})") from error
         except OSError as error:
             raise BadRecording(_cannot(self.path, "read", error)) from error
@@ -276,7 +275,7 @@ def _written(path: Path, *, packed: bool) -> Iterator[IO[bytes] | gzip.GzipFile]
     with path.open("wb") as file:
         if packed:
             # No name and no time in the header: they would make equal recordings differ.
-            with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as stream:
+            with igzip.GzipFile("", "wb", isal_zlib.ISAL_BEST_COMPRESSION, file, 0) as stream:  # type: ignore[no-untyped-call]
                 yield stream
         else:
             yield file

@@ -255,9 +255,9 @@ def test_any_line_is_read_or_refused_as_malformed(line, changes, dropped):
 def test_plain_ranges_are_read_at_once(text):
     read_of = []
 
-    def decimals(text, count, *, commas=False):
+    def decimals(text, count):
         read_of.append((count, text[:3]))
-        return read_decimals(text, count, commas=commas)
+        return read_decimals(text, count)
 
     scan = CarmenLog(decimals=decimals).parse_line(text).message
     assert read_of == [(scan.ranges.size, b"1.5")]
@@ -292,7 +292,7 @@ def test_a_range_that_runs_into_the_pose_is_not_cut_off(glue):
 def test_no_room_is_made_for_more_beams_than_are_allowed():
     counts = []
 
-    def decimals(_, count, *, commas=False):
+    def decimals(_, count):
         counts.append(count)
 
     log = CarmenLog(decimals=decimals, max_beams=180)

@@ -12,18 +12,23 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from log_lines import POSE, SCAN, line, parsed_twice, same
-from ogm_core.logs.decimals import read_decimals
+from ogm_core.logs import jsonlines
 from ogm_core.logs.jsonlines import parse_line, to_line
 from ogm_core.logs.recordings import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def read(*lines, **options):
-    """(messages, complaints) of the lines of a log."""
-    careful = partial(parse_line, **options)
-    return parsed_twice(careful, partial(careful, decimals=read_decimals), *lines)
+    """(messages, complaints) of the lines of a log, which are those of Python's own JSON reader."""
+    return parsed_twice(partial(by_python, **options), partial(parse_line, **options), *lines)
+
+
+def by_python(text, range_max=None, max_beams=DEFAULT_MAX_BEAMS):
+    """What a line says by the reader that is slow and takes every line that is one."""
+    return jsonlines._recorded(jsonlines._fields(text), range_max, max_beams) if text.strip() else None
 
 
 def test_a_pose_line_is_read():
@@ -158,24 +163,20 @@ def test_written_ranges_are_short_and_strict_json():
 @pytest.mark.parametrize(
     "text",
     [
-        line(SCAN, ranges=[1.5, 2, 30.25]),
-        line(SCAN, ranges=[1.5, "inf", "-inf", "nan"]),
-        line(SCAN, ranges=[1.5, 2])
-        .replace(b"[1.5, 2]", b"[ 1.5\t,2 ]")
-        .replace(b'"ranges":', b'"ranges" : '),
+        line(POSE),
+        line(SCAN),
+        line(SCAN, run="caf\u00e9", stamp=2**63 - 1, mount=[0, -0.0, 1e-320], other={"a": [[1], {}, None]}),
+        line(SCAN, other="[[[").replace(b"[1.1, 2,", b"[ 1.1\t,2 ,").replace(b'"ranges":', b'"ranges" : '),
     ],
 )
-def test_plain_ranges_are_read_at_once(text):
-    begins = []
+def test_a_usual_line_is_left_to_nobody_else(text, monkeypatch):
+    [expected], [] = read(text)
 
-    def decimals(text, count, *, commas=False):
-        assert commas
-        begins.append((count, text.strip()[:3]))
-        return read_decimals(text, count, commas=commas)
+    def refuse(_):
+        raise AssertionError("it was read twice")
 
-    fields = parse_line(text, decimals=decimals).message
-    assert begins == [(fields.ranges.size, b"1.5")]
-    assert same(parse_line(text), parse_line(text, decimals=read_decimals))
+    monkeypatch.setattr(jsonlines, "_fields", refuse)
+    assert same(parse_line(text), expected)
 
 
 @pytest.mark.parametrize(
@@ -200,3 +201,75 @@ def test_plain_ranges_are_read_at_once(text):
 )
 def test_odd_ranges_are_read_as_they_always_were(text):
     read(text)
+
+
+def odd(value):
+    """A scan's line with a field that nobody reads, of any text."""
+    return line(SCAN, other="?").replace(b'"?"', value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        odd(b"[" * 900 + b"]" * 900),
+        odd(b'"\\ud800"'),
+        odd(b'"\\ud83d\\ude00\\u0000"'),
+        odd(b"1" * 4300),
+        odd(b"-1e400"),
+        odd(b"1e-400"),
+        odd(b'{"a": 1, "a": [2], "": -0}'),
+        line(SCAN, range_max=7).replace(b'"type"', b'"range_max": "x", "ranges": [], "type"'),
+        line(SCAN, mount=[10**20, -(10**300), 2**64], ranges=[10**30, -(2**64), 2**63, 3]),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[1e400, -1e400, 1e-400, -1e-400, -0, -0.0, 1E+2, -0e5]"),
+        line(SCAN, ranges=[1]).replace(
+            b"[1]", b"[0.1000000014901161193847656250000000000000000000000000001]"
+        ),
+        line(SCAN, ranges=[1]).replace(b"[1]", b"[16777217, 16777217.0, 1.00000017881393432617187500001]"),
+        b" \t" + line(SCAN) + b" \r\n",
+    ],
+)
+def test_a_strange_line_is_read_as_it_always_was(text):
+    [message], [] = read(text)
+    assert (message.sensor, message.message.seq) == ("front", 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (odd(b"[" * 1010 + b"]" * 1010), "not JSON .*recursion"),
+        (odd(b'{"a":' * 1010 + b"1" + b"}" * 1010), "not JSON .*recursion"),
+        (odd(b"1" * 4301), "not JSON .*digits"),
+        (odd(b"NaN"), 'not JSON .bare NaN; "inf", "-inf" and "nan" are strings'),
+        (odd(b'{"a": Infinity, "a": 1}'), "not JSON .bare Infinity"),
+        (odd(b'"\xed\xa0\x80"'), "not JSON .*utf-8"),
+        (odd(b'"\x01"'), "not JSON .*control character"),
+        (odd(b"'a'"), "not JSON .Expecting value"),
+        (b"\xef\xbb\xbf" + line(SCAN), "not JSON .*BOM"),
+        (line(SCAN) + b" x", "not JSON .Extra data"),
+        (line(SCAN) + b"\0", "not JSON .Extra data"),
+        (line(SCAN) + line(SCAN), "not JSON .Extra data"),
+        (line(SCAN, stamp=2**64), r"stamp: 0 to 2\^63 - 1 is needed, got 18446744073709551616$"),
+        (line(SCAN, seq=-(2**64)), r"seq: 0 to 2\^63 - 1 is needed, got -18446744073709551616$"),
+        (line(SCAN, sensor=2**64), "sensor: .* got 18446744073709551616$"),
+        (
+            line(SCAN, range_max=1).replace(b": 1,", b": 1e400,"),
+            "range_max: a finite number is needed, got inf",
+        ),
+        (line(SCAN).replace(b'"type"', b'"seq": 1, "type"').replace(b'"seq": 2', b'"seq": -1'), "seq: 0 to"),
+    ],
+)
+def test_a_strange_line_is_refused_as_it_always_was(text, reason):
+    messages, [(_, said)] = read(text)
+    assert messages == []
+    assert re.match(reason, said), said
+
+
+@given(st.lists(st.one_of(st.floats(), st.integers(-(10**25), 10**25)).map(str), min_size=1, max_size=20))
+def test_every_number_is_read_as_python_reads_it(numbers):
+    read(line(SCAN, ranges=[1]).replace(b"[1]", f"[{','.join(numbers)}]".encode()))
+
+
+@given(st.binary(max_size=12), st.integers(0, 200), st.integers(0, 12))
+def test_a_line_with_anything_in_it_is_read_as_python_reads_it(anything, at, gone):
+    text = line(SCAN, run="\u00e9", mount=[0, -1.5e3, 2])
+    read(text[:at] + anything + text[at + gone :])
