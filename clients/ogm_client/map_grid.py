@@ -20,6 +20,7 @@ from ogm_core.errors import BadParameter
 from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.whole_files import whole_file, write_files
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,11 +192,11 @@ class MapGrid:
             MapEmpty: there is no cell to draw.
             BadParameter: as `to_png`.
         """
-        Path(path).write_bytes(self.to_png(palette, max_size))
+        write_files({Path(path): self.to_png(palette, max_size)})
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
         """Write a NumPy archive of the arrays that the mapper's own map.npz holds."""
-        with Path(path).open("wb") as file:  # given a path, numpy would add a suffix of its own
+        with whole_file(Path(path)) as file:  # given a path, numpy would add a suffix of its own
             np.savez_compressed(
                 file,
                 log_odds=self.log_odds,
@@ -219,8 +220,7 @@ class MapGrid:
         picture = target.with_suffix(".pgm")
         snap = self._snapshot()
         encoded, description = encode_pgm(snap), encode_yaml(snap, picture.name)
-        picture.write_bytes(encoded)
-        target.write_bytes(description)
+        write_files({picture: encoded, target: description})
 
     @property
     def _lattice(self) -> Lattice:

@@ -27,6 +27,7 @@ from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, Recorde
 from ogm_core.logs.sniff import CARMEN_SUFFIXES, HEAD, JSON_SUFFIXES, folder, hint, why_not
 from ogm_core.logs.unpacking import GzipContent
 from ogm_core.types import IDENTITY
+from ogm_core.whole_files import whole_file
 from ogm_core.wire.keys import check_name
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
 
@@ -257,23 +258,18 @@ def write_jsonl(path: Path, messages: Iterable[Recorded]) -> None:
         raise BadRecording(f"{path}: recordings are written as {' or '.join(JSON_SUFFIXES)}")
     if path.is_dir():
         raise BadRecording(f"{path}: cannot be written (it is a folder)")
-    part = path.with_name(path.name + ".part")
     try:
-        try:
-            with _written(part, packed=path.name.lower().endswith(".gz")) as file:
-                for recorded in messages:
-                    file.write(to_line(recorded).encode() + b"\n")
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+        with _written(path) as file:
+            for recorded in messages:
+                file.write(to_line(recorded).encode() + b"\n")
     except OSError as error:
         raise BadRecording(_cannot(path, "written", error)) from error
 
 
 @contextmanager
-def _written(path: Path, *, packed: bool) -> Iterator[IO[bytes] | gzip.GzipFile]:
-    with path.open("wb") as file:
-        if packed:
+def _written(path: Path) -> Iterator[IO[bytes] | gzip.GzipFile]:
+    with whole_file(path) as file:
+        if path.name.lower().endswith(".gz"):
             # No name and no time in the header: they would make equal recordings differ.
             with igzip.GzipFile("", "wb", isal_zlib.ISAL_BEST_COMPRESSION, file, 0) as stream:  # type: ignore[no-untyped-call]
                 yield stream

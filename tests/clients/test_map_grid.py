@@ -206,6 +206,18 @@ def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
         np.testing.assert_array_equal(np.asarray(image), [[205, 205], [254, 205], [205, 0]])
 
 
+def test_what_is_saved_is_there_whole_or_not_at_all(tmp_path):
+    (tmp_path / "hall.pgm").write_bytes(b"before")
+    (tmp_path / "hall.yaml").mkdir()
+    with pytest.raises(IsADirectoryError):
+        grid_of().save_ros_map(tmp_path / "hall.yaml")
+    assert (tmp_path / "hall.pgm").read_bytes() == b"before"
+    for save in ("save_png", "save_npz"):
+        with pytest.raises(IsADirectoryError):
+            getattr(grid_of(), save)(tmp_path / "hall.yaml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hall.pgm", "hall.yaml"]
+
+
 @pytest.mark.parametrize("save", ["save_png", "save_ros_map"])
 def test_an_empty_map_has_no_picture(tmp_path, save):
     grid = grid_of(np.empty((0, 0)), offset=(0, 0))

@@ -9,6 +9,8 @@ from urllib.parse import parse_qsl
 from ogm_client import MapClient, MapperError
 from ogm_core.errors import BadInput, BadParameter
 from ogm_core.lattice import Region
+from ogm_core.whole_files import write_files
+from ogm_services.results.written import written
 from ogm_services.settings.values import parse_region
 
 STDOUT = Path("-")
@@ -31,17 +33,17 @@ def fetch(client: MapClient, name: str, out: Path, stdout: BinaryIO) -> None:
             raise BadInput("map.yaml comes with its map.pgm, two files: give -o FILE.yaml")
         with _asking():
             grid = client.get_map(_region(parameters))
-        with _writing(out):
+        with written(out, "-o"):
             grid.save_ros_map(out)
         return
     with _asking():
         content = client.fetch(name, **parameters)
-    with _writing(out):
+    with written(out, "-o"):
         if out == STDOUT:
             stdout.write(content)
             stdout.flush()
         else:
-            out.write_bytes(content)
+            write_files({out: content})
 
 
 @contextmanager
@@ -53,16 +55,6 @@ def _asking() -> Iterator[None]:
         if error.status == 400:
             raise BadParameter(error.detail) from None
         raise
-
-
-@contextmanager
-def _writing(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:  # the reader of stdout has had enough
-        raise
-    except OSError as error:
-        raise BadInput(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _parameters(query: str) -> dict[str, str]:

@@ -13,6 +13,7 @@ import typer
 from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
+from ogm_core.errors import BadRecording
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
@@ -90,7 +91,10 @@ def record(options: SimulatorOptions, out: Path) -> None:
         for step in range(options.scans or 0):
             yield from simulation.messages(step, round(step * period), run)
 
-    write_jsonl(out, messages())
+    try:
+        write_jsonl(out, messages())
+    except BadRecording as error:
+        raise BadRecording(f"--out {error}") from error
     typer.echo(f"{out}: {options.scans} scans each of {', '.join(simulation.robots)}")
 
 

@@ -1,12 +1,10 @@
 """The file that a figure goes to: whether it can, found out before the work, and what writes it."""
 
-import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ogm_core.errors import BadInput
+from ogm_core.whole_files import check_file, write_files
+from ogm_services.results.written import written
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -29,11 +27,9 @@ def check_figure(path: Path, out: Path) -> None:
         raise BadInput("--figure needs matplotlib: install zenoh-ogm[plot]") from error
     except ValueError as error:
         raise BadInput(f"--figure: matplotlib does not accept its own settings: {error}") from error
-    with _written(path):
-        if path.exists():
-            os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
-        elif path.parent.exists() or not inside:
-            tempfile.TemporaryFile(dir=path.parent).close()
+    with written(path, "--figure"):
+        if path.parent.exists() or not inside:
+            check_file(path)
 
 
 def write_figure(path: Path, content: bytes) -> None:
@@ -42,19 +38,10 @@ def write_figure(path: Path, content: bytes) -> None:
     Raises:
         BadInput: it cannot be written.
     """
-    with _written(path):
-        path.write_bytes(content)
+    with written(path, "--figure"):
+        write_files({path: content})
 
 
 def format_of(path: Path) -> str:
     """Format that a file's name says."""
     return path.suffix[1:].lower()
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[None]:
-    """Tell what keeps from writing the file what tries to inside."""
-    try:
-        yield
-    except OSError as error:
-        raise BadInput(f"--figure {path}: cannot be written: {error.strerror}") from error

@@ -3,14 +3,13 @@
 import json
 import re
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ogm_core.errors import BadInput
 from ogm_core.files.map_files import encode_npz, encode_pgm, encode_png, encode_yaml
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.whole_files import write_files
+from ogm_services.results.written import written
 
 
 def check_folder(out: Path) -> None:
@@ -19,14 +18,15 @@ def check_folder(out: Path) -> None:
     Raises:
         BadInput: it cannot be made or written.
     """
-    with _written(out), tempfile.TemporaryFile(dir=out):
-        pass
+    with written(out, "--out"):
+        out.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=out).close()
 
 
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None:
     """Write map.png, map.pgm, map.yaml, map.npz and quality.json into the folder `out`, made if need be.
 
-    Everything is encoded before anything is written.
+    Everything is encoded before anything is written, and on disk before the first file takes its name.
 
     Raises:
         MapEmpty: there is nothing to draw.
@@ -39,22 +39,12 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None
         "map.npz": encode_npz(snapshot),
         "quality.json": _readable(quality).encode(),
     }
-    with _written(out):
-        for name, content in files.items():
-            (out / name).write_bytes(content)
+    with written(out, "--out"):
+        out.mkdir(parents=True, exist_ok=True)
+        write_files({out / name: content for name, content in files.items()})
 
 
 def _readable(value: dict[str, Any]) -> str:
     """JSON with a line for each name, and each list of numbers on one line."""
     text = json.dumps(value, indent=2)
     return re.sub(r"\[[^][{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text) + "\n"
-
-
-@contextmanager
-def _written(out: Path) -> Iterator[None]:
-    """Make the folder `out` for what writes into it inside, and tell what keeps it from doing so."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise BadInput(f"--out {out}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,45 @@
+"""The folder of a finished map: all of its files are new, or none is."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.errors import BadInput
+from ogm_core.lattice import Lattice
+from ogm_core.snapshot import MapSnapshot
+from ogm_services.results.map_folder import check_folder, write_map
+
+NAMES = ["map.npz", "map.pgm", "map.png", "map.yaml", "quality.json"]
+
+
+def snapshot():
+    cells = np.array([[1.5, -1.5, 0.0]])
+    return MapSnapshot(cells, LogOdds(cells="float64"), Lattice(0.1), (0, 0), "epoch", 1, None)
+
+
+def test_all_files_of_a_map_are_written(tmp_path):
+    write_map(tmp_path / "a" / "b", snapshot(), {"scans": 3})
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == NAMES
+    assert json.loads((tmp_path / "a" / "b" / "quality.json").read_text()) == {"scans": 3}
+    assert (tmp_path / "a" / "b" / "map.pgm").read_bytes().endswith(bytes([0, 254, 205]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_that_cannot_be_written_leaves_the_old_map(tmp_path, name):
+    for other in set(NAMES) - {name}:
+        (tmp_path / other).write_bytes(b"before")
+    (tmp_path / name).mkdir()
+    with pytest.raises(BadInput, match=r"^--out .*: cannot be written: Is a directory$"):
+        write_map(tmp_path, snapshot(), {})
+    assert all((tmp_path / other).read_bytes() == b"before" for other in set(NAMES) - {name})
+    assert sorted(path.name for path in tmp_path.iterdir()) == NAMES
+
+
+def test_a_folder_that_cannot_be_made_is_found_out_before(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(BadInput, match=r"^--out .*file/out: cannot be written: Not a directory$"):
+        check_folder(tmp_path / "file" / "out")
+    check_folder(tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
