@@ -1,6 +1,7 @@
 """The examples, each run as its own text says, against a real mapper: what they send, show and save."""
 
 import ast
+import io
 import json
 import math
 import os
@@ -10,8 +11,9 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -85,6 +87,20 @@ def ended(process):
 def run(folder, name, *args, **environ):
     """Run an example to its end."""
     return ended(start(folder, name, *args, **environ))
+
+
+def call(folder, name, *args):
+    """The same in this process, where another one would show no more."""
+    words, out, err = [str(EXAMPLES / name), *map(str, args)], io.StringIO(), io.StringIO()
+    code = 0
+    with chdir(folder), patch.object(sys, "argv", words), redirect_stdout(out), redirect_stderr(err):
+        try:
+            runpy.run_path(words[0], run_name="__main__")
+        except SystemExit as end:
+            code = end.code
+    if isinstance(code, str):  # as Python itself does
+        code, err = 1, io.StringIO(f"{err.getvalue()}{code}\n")
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
 def done(end):
@@ -332,8 +348,8 @@ def test_when_nobody_answers_every_example_says_what_to_check(endpoint, mapper, 
         ("export_to_nav2.py", "--url", mapper.endpoint, "--out", "no/such/folder"): "No such file",
         ("export_to_nav2.py", "--url", mapper.endpoint, "--region", 50, 50, 51, 51): "outside the map",
     }
-    with ThreadPoolExecutor() as pool:
-        ends = pool.map(lambda command: run(tmp_path, *command), commands)
-        for end, text in zip(ends, commands.values(), strict=True):
-            assert text in complaint(end)
+    of_their_own = [("publish_a_robot.py", "--address"), ("subscribe_and_plot.py", "--out")]
+    for command, text in commands.items():
+        start = run if command[:2] in of_their_own else call
+        assert text in complaint(start(tmp_path, *command))
     assert list(tmp_path.iterdir()) == []
