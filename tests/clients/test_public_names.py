@@ -42,6 +42,6 @@ def test_importing_and_using_it_is_light():
         f"print({heavy} & set(sys.modules))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=True
     )
     assert done.stdout == "set()\n"

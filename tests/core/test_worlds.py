@@ -245,7 +245,7 @@ def test_deep_nesting_is_refused(text):
     # In a process of its own: what recurses without end in C ends the process.
     script = "import sys; from ogm_core.simulation.worlds import load_world; load_world(sys.stdin.read())"
     ended = subprocess.run(
-        [sys.executable, "-c", script], input=text, text=True, capture_output=True, timeout=60
+        [sys.executable, "-c", script], input=text, text=True, capture_output=True, timeout=300
     )
     assert ended.returncode == 1
     last = ended.stderr.splitlines()[-1]

@@ -26,7 +26,7 @@ from ogm_services.settings.sources import without_settings
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCANS = 100
 LAST = SCANS - 1
-TIMEOUT = 60
+TIMEOUT = 300
 
 WINDOW = '''
 """A window that nobody sees: what it shows is in window.png, and it is closed after `TURNS` turns."""

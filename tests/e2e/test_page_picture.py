@@ -58,7 +58,7 @@ def take(tmp_path):
             env={**without_settings(os.environ), "PATH": str(programs)},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
             check=False,
         )
 

@@ -37,7 +37,7 @@ BLOCK = re.compile(
 )
 TEXTS = {page: (ROOT / page).read_text(encoding="utf-8") for page in PAGES}
 BLOCKS = {page: [match.groupdict() for match in BLOCK.finditer(text)] for page, text in TEXTS.items()}
-TIMEOUT = 120
+TIMEOUT = 300
 
 
 class Newcomer:

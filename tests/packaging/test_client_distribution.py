@@ -28,7 +28,7 @@ LARGEST = 130e6
 """What the client and all that it needs may take, bytes."""
 STEP = 300.0
 """How long pip may take, s: it downloads a hundred megabytes if it has none of them."""
-STARTED = 60.0
+STARTED = 120.0
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ COMPOSE = yaml.safe_load((DOCKER / "compose.yaml").read_text())
 SERVICES = COMPOSE["services"]
 OURS = ("mapper", "simulator")
 ROUTER = "tcp/router:7447"
-STARTED = 60.0
+STARTED = 120.0
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ PACKAGES = {"ogm_core": ROOT, "ogm_services": ROOT / "services", "ogm_client": R
 FILES = {"map.png", "map.pgm", "map.yaml", "map.npz", "quality.json"}
 CACHE = "/var/cache/ogm"
 PORT = "8000"
-STARTED = 60.0
+STARTED = 120.0
 
 
 def the(stage, name):

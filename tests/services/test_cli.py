@@ -292,5 +292,5 @@ def test_interrupted(module, function, command, stop, code):
     with process:
         assert process.stdout.readline() == "ready\n"
         process.send_signal(stop)
-        _, complaint = process.communicate(timeout=60)
+        _, complaint = process.communicate(timeout=300)
     assert (process.returncode, complaint) == (code, "")

@@ -306,4 +306,4 @@ def test_matplotlib_is_loaded_for_figures_only_and_without_pyplot():
         "figure.encode_figure(figure.draw_map(snapshot, 'a', 'b', None, {}), 'png')\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
