@@ -1,6 +1,6 @@
 """Quality figures of a map: entropy, areas, consistency with its scans, prediction of held-out scans."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from ogm_core.types import PlacedScan
 
 JUDGED_SHORTER_THAN = 15.0
 CAST_UP_TO = 25.0
+BEAMS_IN_A_ROW = 4096
+"""Judged without a look at whether anybody still waits: a fraction of a second, even of the longest beams."""
 DECIDED = 0.6
 """A cell counts as a wall, or as free, if its log odds differ from the prior's by more than this."""
 
@@ -60,12 +62,18 @@ class Consistency:
         """The bounds, if beams that leave them are not in the map."""
         self._counts = np.zeros(4, np.int64)
 
-    def add(self, placed: PlacedScan) -> None:
-        """Judge a scan that was integrated."""
+    def add(self, placed: PlacedScan, between: Callable[[], None] = lambda: None) -> None:
+        """Judge a scan that was integrated.
+
+        Calls `between` every BEAMS_IN_A_ROW beams; what that raises ends it, with the scan judged in part.
+        """
         ends = project(placed, self._snapshot.lattice, self._settings).ends
         if self._dropping is not None:
             beams.drop_outside(ends, *self._dropping)
-        self._counts += agreement.agreement(ends, self._snapshot.rect, self._beliefs)
+        for first in range(0, ends.shape[1], BEAMS_IN_A_ROW):
+            between()
+            some = np.ascontiguousarray(ends[:, first : first + BEAMS_IN_A_ROW])
+            self._counts += agreement.agreement(some, self._snapshot.rect, self._beliefs)
 
     def figures(self) -> dict[str, float | None]:
         """The shares, None where nothing was judged."""

@@ -13,6 +13,7 @@ from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice, Region
+from ogm_core.quality import figures
 from ogm_core.quality.figures import DECIDED, Consistency, held_out, map_figures
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan
@@ -298,3 +299,25 @@ def test_held_out_is_that_of_every_crossing_of_every_ray(cells, changes):
     assert figures["beams"] > 1000
     assert 0.05 < figures["into_unknown"] < 0.95
     assert figures["within_0_2_m"] > 0.0
+
+
+def test_a_scan_that_is_judged_piece_by_piece_is_judged_as_a_whole(monkeypatch):
+    grid = OccupancyGrid(GridSettings(resolution=0.1))
+    rng = np.random.default_rng(5)
+    ranges = rng.uniform(0.5, 9.0, 1000).astype(np.float32)
+    placed = PlacedScan(Scan(0, -3.0, 0.006, 0.1, 8.0, ranges), Pose(0.3, 0.2, 0.1))
+    grid.integrate(placed.scan, placed.pose)
+    whole, pieces, looks = (*(Consistency(grid.snapshot(), grid.settings) for _ in range(2)), [])
+    whole.add(placed)
+    monkeypatch.setattr(figures, "BEAMS_IN_A_ROW", 7)
+    pieces.add(placed, lambda: looks.append(1))
+    assert pieces.figures() == whole.figures()
+    assert 0.2 < whole.figures()["hits"] < 0.4
+    assert 0.5 < whole.figures()["free"] < 1.0
+    assert len(looks) == 143
+
+    def enough():
+        raise TimeoutError
+
+    with pytest.raises(TimeoutError):
+        pieces.add(placed, enough)

@@ -12,12 +12,13 @@ from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.quality.figures import map_figures, quality_figures
+from ogm_core.quality.figures import Consistency, map_figures, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import lab, load_world
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import live_map as live_map_module
 from ogm_services.mapper.live.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
+from ogm_services.replies.answer import Unavailable
 
 HERE = Pose(0.25, 0.25, 0.0)
 SETTINGS = GridSettings(resolution=0.5)
@@ -270,3 +271,38 @@ def test_a_fresh_quality_is_never_an_old_one(live, clock):
     live.integrate(scan(), HERE)
     assert (live.quality()["scans"], live.fresh_quality()["scans"]) == (0, 1)
     assert live.fresh_quality(lab())["truth"]["accuracy"] is not None
+
+
+def test_figures_that_are_late_are_none_and_named(live):
+    live.integrate(scan(), HERE)
+    whole = live.fresh_quality(lab(), within=60.0)
+    assert "missing" not in whole
+    assert whole["consistency"]["hits"] == 1.0
+    late = live.fresh_quality(lab(), within=0.0)
+    nothing = {"consistency": {"hits": None, "free": None}, "truth": None}
+    assert late == {**whole, **nothing, "missing": ["consistency", "truth"]}
+    assert live.fresh_quality(within=0.0)["missing"] == ["consistency"]
+
+
+def test_a_share_of_some_of_the_beams_is_none_either(live, clock, monkeypatch):
+    live.integrate(scan(), HERE)
+    live.integrate(scan(), HERE)
+    judged, add = [], Consistency.add
+
+    def slow(consistency, placed, between):
+        add(consistency, placed, between)
+        judged.append(consistency.figures()["hits"])
+        clock.now += 1.0
+
+    monkeypatch.setattr(Consistency, "add", slow)
+    late = live.fresh_quality(lab(), within=0.5)
+    assert (judged, late["consistency"]["hits"]) == ([1.0], None)
+    assert (late["missing"], late["truth"] is None) == (["consistency"], False)
+
+
+def test_nobody_waits_for_figures_of_a_map_that_stops(live):
+    live.integrate(scan(), HERE)
+    live.stop()
+    with pytest.raises(Unavailable, match="the mapper is stopping"):
+        live.quality()
+    assert live.fresh_quality()["consistency"]["hits"] == 1.0

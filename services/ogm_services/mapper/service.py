@@ -32,7 +32,7 @@ from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_routes import Health, build_app
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
-from ogm_services.results.map_folder import check_folder, write_map
+from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
@@ -48,6 +48,9 @@ COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
 GRACE = 2
 """How long open HTTP connections may take to finish when the mapper stops, s."""
+
+FIGURES_TIME = 5.0
+"""How long a mapper that has stopped computes figures of its map, s."""
 
 log = logging.getLogger(__name__)
 
@@ -84,10 +87,24 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
             service.wait()
     finally:
         if out is not None and service.was_ready:
-            try:
-                write_map(out, service.live_map.snapshot(), service.answers.quality_fields(fresh=True))
-            except MapEmpty:
-                log.warning("the map has no known cell: nothing is written into %s", out)
+            _write_results(out, service)
+
+
+def _write_results(out: Path, service: "MapperService") -> None:
+    """Write the map, and only then its figures: whoever runs out of patience with them has the map."""
+    try:
+        write_map(out, service.live_map.snapshot(), None)
+    except MapEmpty:
+        log.warning("the map has no known cell: nothing is written into %s", out)
+        return
+    quality = service.answers.quality_fields(fresh=True, within=FIGURES_TIME)
+    write_quality(out, quality)
+    missing = quality.get("missing")
+    if missing:
+        log.warning(
+            "%s: figures that take longer than %g s are left out of quality.json: %s",
+            *(out, FIGURES_TIME, ", ".join(missing)),
+        )
 
 
 class MapperService:
@@ -125,6 +142,7 @@ class MapperService:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.live_map.stop()  # else whoever has asked for figures would keep HTTP and Zenoh from ending
         self._open.close()
 
     @property

@@ -11,6 +11,8 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.whole_files import write_files
 from ogm_services.results.written import written
 
+QUALITY = "quality.json"
+
 
 def check_folder(out: Path) -> None:
     """Make the folder `out` if need be, long before anything is written into it.
@@ -23,10 +25,12 @@ def check_folder(out: Path) -> None:
         tempfile.TemporaryFile(dir=out).close()
 
 
-def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None:
+def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
     """Write map.png, map.pgm, map.yaml, map.npz and quality.json into the folder `out`, made if need be.
 
-    Everything is encoded before anything is written, and on disk before the first file takes its name.
+    Everything is encoded before anything is written, and on disk before the first file takes its name. Where
+    `quality` is still to come, by `write_quality`, there is no quality.json afterwards: an old one would be
+    another map's.
 
     Raises:
         MapEmpty: there is nothing to draw.
@@ -37,11 +41,25 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any]) -> None
         "map.pgm": encode_pgm(snapshot),
         "map.yaml": encode_yaml(snapshot, "map.pgm"),
         "map.npz": encode_npz(snapshot),
-        "quality.json": _readable(quality).encode(),
     }
+    if quality is not None:
+        files[QUALITY] = _readable(quality).encode()
     with written(out, "--out"):
         out.mkdir(parents=True, exist_ok=True)
+        if quality is None:
+            (out / QUALITY).unlink(missing_ok=True)
         write_files({out / name: content for name, content in files.items()})
+
+
+def write_quality(out: Path, quality: dict[str, Any]) -> None:
+    """Write quality.json beside a map that was written without.
+
+    Raises:
+        BadInput: the folder cannot be written.
+    """
+    content = _readable(quality).encode()
+    with written(out, "--out"):
+        write_files({out / QUALITY: content})
 
 
 def _readable(value: dict[str, Any]) -> str:

@@ -1,5 +1,6 @@
 """The map while it is written: one writer, and any number of readers with copies."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -13,6 +14,7 @@ from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.copies import Tiles
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_services.replies.answer import Unavailable
 
 RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
@@ -22,6 +24,10 @@ PATIENCE = 3.0
 """Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
 
 _T = TypeVar("_T")
+
+
+class _OutOfTime(Exception):
+    """Figures have taken as long as they may."""
 
 
 class Identity(NamedTuple):
@@ -60,6 +66,7 @@ class LiveMap:
         self._state = self._told()
         self._known_cells = _Figure()
         self._quality = _Figure()
+        self._stopping = threading.Event()
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
@@ -111,21 +118,54 @@ class LiveMap:
         """Quality figures of the map and its newest scans; may be a second old.
 
         `truth` says how well the map agrees with a true `world`, None without one.
-        """
-        return self._figure(self._quality, lambda: self.fresh_quality(world), world)
 
-    def fresh_quality(self, world: World | None = None) -> dict[str, Any]:
-        """The same of this very moment, however long that takes."""
+        Raises:
+            Unavailable: they were not ready when `stop` was called.
+        """
+        return self._figure(self._quality, lambda: self._quality_now(world, self._check_stopping), world)
+
+    def stop(self) -> None:
+        """Nobody waits any more for the figures that are being computed: they may take minutes."""
+        self._stopping.set()
+
+    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
+        """The same of this very moment, even after `stop`.
+
+        Figures that are not ready `within` so many seconds are None, and named in the list `missing`.
+        """
+        deadline = time.monotonic() + within
+
+        def check_time() -> None:
+            if time.monotonic() >= deadline:
+                raise _OutOfTime
+
+        return self._quality_now(world, check_time)
+
+    def _check_stopping(self) -> None:
+        if self._stopping.is_set():
+            raise Unavailable("the mapper is stopping")
+
+    def _quality_now(self, world: World | None, between: Callable[[], None]) -> dict[str, Any]:
         with self._reading:
             room = self._room()
             with self._writing:
                 snapshot = self._current_snapshot(room)
                 recent, updates = list(self._recent), self._grid.cell_updates
         consistency = Consistency(snapshot, self._grid.settings)
-        for placed in recent:
-            consistency.add(placed)
         figures = quality_figures(snapshot, consistency, updates)
-        figures["truth"] = None if world is None else truth_figures(snapshot, world)
+        figures["truth"] = None
+        missing = ["consistency"] if world is None else ["consistency", "truth"]
+        try:
+            if world is not None:
+                between()
+                figures["truth"] = truth_figures(snapshot, world)
+                missing.remove("truth")
+            for placed in recent:
+                consistency.add(placed, between)
+            figures["consistency"] = consistency.figures()
+            missing.remove("consistency")
+        except _OutOfTime:
+            figures["missing"] = missing
         return figures
 
     def _told(self) -> _State:

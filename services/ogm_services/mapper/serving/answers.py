@@ -1,6 +1,7 @@
 """What the mapper answers, over HTTP and Zenoh alike: a name and its parameters in, bytes out."""
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -167,12 +168,16 @@ class Answers:
         _check_names(given, ())
         return _json(self.status_fields())
 
-    def quality_fields(self, *, fresh: bool = False) -> dict[str, Any]:
-        """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`."""
+    def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
+        """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`.
+
+        `fresh` ones that are not ready `within` so many seconds are None, and named in the list `missing`.
+        """
         self.check_ready()
-        compute = self._map.fresh_quality if fresh else self._map.quality
+        world = self._observer.truth.world
+        figures = self._map.fresh_quality(world, within) if fresh else self._map.quality(world)
         series = self._observer.series.columns(self._map.identity()["epoch"])
-        return {**compute(self._observer.truth.world), "series": series}
+        return {**figures, "series": series}
 
     def status_fields(self) -> dict[str, Any]:
         """The mapper's status, not yet encoded."""
