@@ -124,6 +124,13 @@ def test_our_services_run_the_image_with_as_little_as_it_needs(service, dockerfi
         assert target == volume
 
 
+def test_the_mapper_serves_where_the_image_says(dockerfile):
+    (environ,) = (found.words for found in dockerfile[-1] if found.name == "ENV")
+    assert "OGM_HTTP__HOST=0.0.0.0" in environ
+    assert "environment" not in SERVICES["mapper"]
+    assert not [word for word in SERVICES["mapper"]["command"] if word.startswith("--http")]
+
+
 def test_ports_are_the_images_and_open_on_this_machine_only(dockerfile):
     (exposed,) = (set(found.words) for found in dockerfile[-1] if found.name == "EXPOSE")
     published = {}

@@ -3,6 +3,7 @@
 import http.server
 import json
 import re
+import socket
 import threading
 import tomllib
 import zipfile
@@ -10,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from ogm_services.settings.sources import load_settings
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -117,6 +120,9 @@ def test_a_mapper_is_healthy_once_ready_and_writes_nothing_but_to_its_volume(
     log = services("mapper", [*command, "--http-port", "0"], cwd="/", env=image.environ)
     port = int(eventually(lambda: re.search(r"live map http://.*:(\d+)/", log.read_text()), STARTED)[1])
     assert health(port) == 0
+    # Every address of the container is served, such as this one: -p does not lead to its 127.0.0.1.
+    with socket.create_connection(("127.0.0.2", port), timeout=5):
+        pass
     after = files()
     assert before.items() <= after.items()  # what is in the volume from the start is used, not compiled again
     assert [path for path in after if path not in before and not path.is_relative_to(volume)] == []
@@ -141,6 +147,10 @@ def test_the_image_runs_without_privileges_on_ports_and_a_volume_that_it_names(d
     assert names.index("USER") < names.index("RUN", names.index("USER")) < names.index("VOLUME")
     environ = dict(word.split("=") for word in the(last, "ENV").words)
     assert environ["NUMBA_CACHE_DIR"] == the(last, "VOLUME").text == CACHE
+    assert environ["OGM_HTTP__HOST"] == "0.0.0.0"
+    settings = load_settings(config=None, flags={}, environ=environ)
+    assert (settings.http.host, str(settings.http.port)) == ("0.0.0.0", PORT)
+    assert settings.network.for_mapper().listen == ("tcp/127.0.0.1:7447",)
     assert the(last, "EXPOSE").words == [PORT, "7447"]
     assert (the(last, "ENTRYPOINT").words, the(last, "STOPSIGNAL").text) == (["ogm"], "SIGTERM")
 
