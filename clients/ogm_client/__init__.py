@@ -16,8 +16,8 @@ from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
 from ogm_client.raycast import Ray, Rays
 from ogm_client.robot import RobotPublisher
-from ogm_client.session import DEFAULT_ADDRESS
 from ogm_core.errors import OgmError
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
     "DEFAULT_ADDRESS",

@@ -11,11 +11,11 @@ import zenoh
 
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
-from ogm_client.session import DEFAULT_ADDRESS
 from ogm_client.transport import NAMES, MapReply, Transport, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
 from ogm_core.files.map_files import read_npz
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_INTERVAL = 0.5

@@ -12,11 +12,11 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from ogm_client.errors import ClientError, nobody
-from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig, open_session, reason
+from ogm_client.session import NetworkConfig, open_session, reason
 from ogm_core.errors import BadMessage
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
-from ogm_core.wire.keys import MapKeys, check_name
+from ogm_core.wire.keys import DEFAULT_ADDRESS, MapKeys, check_name
 from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01

@@ -15,9 +15,8 @@ import zenoh
 
 from ogm_client.errors import CannotConnect, CannotListen
 from ogm_core.errors import BadSetting
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 
-DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
-"""Where a mapper listens, and where clients and robots connect, unless told otherwise."""
 CONNECT_TIMEOUT = 2.0
 """How long a connection is tried before it counts as failed, s: services may start in any order."""
 LEASE_MS = 2000

@@ -1,4 +1,4 @@
-"""Key expressions of one map on Zenoh, and the names that may stand in them."""
+"""Key expressions of one map on Zenoh, names that may stand in them, and the default address."""
 
 import re
 from dataclasses import dataclass
@@ -8,6 +8,8 @@ from ogm_core.errors import BadSetting
 
 NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 ROOT = "ogm/v1"
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+"""Where a mapper listens on Zenoh, and where everyone else looks for it, unless told otherwise."""
 
 Service = Literal["map", "cell", "quality", "status", "reset"]
 SERVICES: tuple[Service, ...] = ("map", "cell", "quality", "status", "reset")

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
@@ -29,7 +30,6 @@ from ogm_services.settings.flags import (
     settings_from,
     with_flag_groups,
 )
-from ogm_services.settings.values import LOOPBACK
 
 app = typer.Typer(
     name="ogm",
@@ -271,7 +271,7 @@ def get(
         typer.Argument(metavar="NAME", help="map.png, map.yaml (with its PGM), map.json?region=0,0,5,5, ..."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; - for stdout.")],
-    url: Url = LOOPBACK,
+    url: Url = DEFAULT_ADDRESS,
     map_name: MapName = "default",
 ) -> None:
     """Fetch a file from a running mapper."""
@@ -284,7 +284,7 @@ def get(
 
 @app.command()
 def status(
-    url: Url = LOOPBACK,
+    url: Url = DEFAULT_ADDRESS,
     map_name: MapName = "default",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:

@@ -3,11 +3,12 @@ import math
 import pytest
 import yaml
 
-from ogm_client.session import DEFAULT_ADDRESS, NetworkConfig
+from ogm_client.session import NetworkConfig
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.settings.settings import Settings
 from ogm_services.settings.sources import load_settings, without_settings
 

@@ -16,9 +16,10 @@ import typer
 
 from ogm_core.cells.log_odds import CellType
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, load_settings
-from ogm_services.settings.values import LOOPBACK, Preset
+from ogm_services.settings.values import Preset
 
 PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"}
 
@@ -126,7 +127,8 @@ class NetworkFlags(_SettingFlags):
             "network",
             "listen",
             "ENDPOINTS",
-            f"Zenoh endpoints to listen on, separated by commas; a mapper told nothing listens on {LOOPBACK}",
+            "Zenoh endpoints to listen on, separated by commas; "
+            f"a mapper told nothing listens on {DEFAULT_ADDRESS}",
         ),
     ] = None
     connect: Annotated[
@@ -135,7 +137,7 @@ class NetworkFlags(_SettingFlags):
             "network",
             "connect",
             "ENDPOINTS",
-            f"Zenoh endpoints to connect to, separated by commas; others than a mapper try {LOOPBACK}",
+            f"Zenoh endpoints to connect to, separated by commas; others than a mapper try {DEFAULT_ADDRESS}",
         ),
     ] = None
     zenoh_config: Annotated[

@@ -26,9 +26,8 @@ from ogm_core.grid_settings import (
     Traversal,
 )
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
-from ogm_core.wire.keys import check_name
+from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
 from ogm_services.settings.values import (
-    LOOPBACK,
     NONE,
     Bounds,
     Count,
@@ -100,11 +99,11 @@ class NetworkSettings(_Section):
 
     def for_mapper(self) -> "NetworkConfig":
         """How a mapper opens its session: as told, else it listens on loopback."""
-        return self._config(listen=(LOOPBACK,), connect=())
+        return self._config(listen=(DEFAULT_ADDRESS,), connect=())
 
     def for_client(self) -> "NetworkConfig":
         """How everyone else opens a session: as told, else connected to the mapper on loopback."""
-        return self._config(listen=(), connect=(LOOPBACK,))
+        return self._config(listen=(), connect=(DEFAULT_ADDRESS,))
 
     def _config(self, *, listen: tuple[str, ...], connect: tuple[str, ...]) -> "NetworkConfig":
         from ogm_client.session import NetworkConfig

@@ -6,9 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ogm_core.lattice import Region
-
-LOOPBACK = "tcp/127.0.0.1:7447"
-"""Where a mapper listens, and everyone else looks for it, if nothing else is said."""
+from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 Preset = Literal["lab"]
 
@@ -70,7 +68,7 @@ def _list_from_text(value: object) -> object:
 def _endpoint(value: str) -> str:
     protocol, _, address = value.partition("/")
     if not (protocol.isidentifier() and address):
-        raise ValueError(f"an endpoint such as {LOOPBACK} is needed")
+        raise ValueError(f"an endpoint such as {DEFAULT_ADDRESS} is needed")
     return value
 
 
