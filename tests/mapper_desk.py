@@ -59,11 +59,11 @@ class Desk:
 
     def check(self):
         """received = integrated + pending + dropped, and pending is what waits."""
-        scans = self.receipts.status()["scans"]
-        assert scans["received"] == self.received
-        assert scans["integrated"] == len(self.sink.placed)
-        assert scans["pending"] == self.received - len(self.sink.placed) - sum(scans["dropped"].values()) >= 0
-        assert scans["pending"] == sum(len(robot.waiting) for robot in self.mapper._robots.values())
+        scans = self.receipts.status().scans
+        assert scans.received == self.received
+        assert scans.integrated == len(self.sink.placed)
+        assert scans.pending == self.received - len(self.sink.placed) - sum(scans.dropped.values()) >= 0
+        assert scans.pending == sum(len(robot.waiting) for robot in self.mapper._robots.values())
 
     @property
     def order(self):
@@ -78,10 +78,10 @@ class Desk:
     @property
     def dropped(self):
         """The reasons that any scan was dropped for, with counts."""
-        counts = self.receipts.status()["scans"]["dropped"]
+        counts = self.receipts.status().scans.dropped
         assert tuple(counts) == DROP_REASONS
         return {reason: count for reason, count in counts.items() if count}
 
     @property
     def pending(self):
-        return self.receipts.status()["scans"]["pending"]
+        return self.receipts.status().scans.pending

@@ -3,8 +3,9 @@
 import threading
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
+from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
 from ogm_core.types import Pose
 
 DropReason = Literal["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"]
@@ -32,14 +33,8 @@ class _Sensor:
     def pending(self) -> int:
         return self.received - self.integrated - self.dropped.total()
 
-    def status(self) -> dict[str, Any]:
-        return {
-            "run": self.run,
-            "last_seq": self.last_seq,
-            "received": self.received,
-            "pending": self.pending,
-            "integrated": self.integrated,
-        }
+    def status(self) -> SourceStatus:
+        return SourceStatus(self.run, self.last_seq, self.received, self.pending, self.integrated)
 
 
 @dataclass(slots=True)
@@ -48,12 +43,9 @@ class _Robot:
     stamp: int | None = None
     sensors: dict[str, _Sensor] = field(default_factory=dict)
 
-    def status(self) -> dict[str, Any]:
-        return {
-            "pose": None if self.pose is None else list(self.pose),
-            "stamp": self.stamp,
-            "sources": {name: sensor.status() for name, sensor in self.sensors.items()},
-        }
+    def status(self) -> RobotStatus:
+        sources = {name: sensor.status() for name, sensor in self.sensors.items()}
+        return RobotStatus(self.pose, self.stamp, sources)
 
 
 class Receipts:
@@ -112,21 +104,21 @@ class Receipts:
         with self._lock:
             self._sensor(robot, sensor).dropped[reason] += 1
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> MessageCounts:
         """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment."""
         with self._lock:
             sensors = [sensor for robot in self._robots.values() for sensor in robot.sensors.values()]
-            return {
-                "scans": {
-                    "received": sum(sensor.received for sensor in sensors),
-                    "integrated": sum(sensor.integrated for sensor in sensors),
-                    "pending": sum(sensor.pending for sensor in sensors),
-                    "dropped": {reason: sum(s.dropped[reason] for s in sensors) for reason in DROP_REASONS},
-                },
-                "poses": dict(self._poses),
-                "other": {"ignored": self._ignored},
-                "robots": {name: robot.status() for name, robot in self._robots.items()},
-            }
+            return MessageCounts(
+                scans=ScanCounts(
+                    received=sum(sensor.received for sensor in sensors),
+                    integrated=sum(sensor.integrated for sensor in sensors),
+                    pending=sum(sensor.pending for sensor in sensors),
+                    dropped={reason: sum(s.dropped[reason] for s in sensors) for reason in DROP_REASONS},
+                ),
+                poses=PoseCounts(**self._poses),
+                other=OtherCounts(self._ignored),
+                robots={name: robot.status() for name, robot in self._robots.items()},
+            )
 
     def _robot(self, robot: str) -> _Robot:
         entry = self._robots.get(robot)

@@ -299,7 +299,8 @@ def status(
     from rich.console import Console
 
     from ogm_services.commands.status import status_tables
+    from ogm_services.replies.status_reply import read_status
 
     console = Console()
-    for table in status_tables(answer):
+    for table in status_tables(read_status(answer)):
         console.print(table)

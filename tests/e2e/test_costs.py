@@ -112,10 +112,10 @@ def test_a_fleet_loses_no_scan(robots):
         assert (fleet.round() > 0.0).all()
         assert (fleet.round() > 0.0).all()
     status = fleet.receipts.status()
-    scans = status["scans"]
-    assert scans["received"] == scans["integrated"] == status["poses"]["received"] >= robots * RATE
-    assert status["poses"]["late"] == 0
-    assert len(status["robots"]) == robots
+    scans = status.scans
+    assert scans.received == scans.integrated == status.poses.received >= robots * RATE
+    assert status.poses.late == 0
+    assert len(status.robots) == robots
 
 
 def test_the_figure(times, memory):

@@ -20,6 +20,7 @@ from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import answers as answers_module
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.replies.answer import UnknownName
+from status_json import as_json
 
 HERE = Pose(0.25, 0.25, 0.0)
 HIT = math.log(0.7 / 0.3)
@@ -205,9 +206,10 @@ def test_status_is_of_the_map_and_the_books(desk):
     desk.receipts.scan_integrated("r", "s")
     status = json.loads(desk.answers.status({}).body)
     assert (status["map"], status["epoch"], status["revision"], status["stamp"]) == ("hall", "epoch", 1, 7)
-    books = desk.receipts.status()
-    assert {name: status[name] for name in books} == books
-    assert status["map_info"] == desk.live.info()
+    counts = as_json(desk.receipts.status())
+    assert {name: status[name] for name in counts} == counts
+    assert counts["scans"]["integrated"] == counts["robots"]["r"]["sources"]["s"]["received"] == 1
+    assert status["map_info"] == as_json(desk.live.info())
 
 
 def test_answers_to_many_threads_are_those_to_one(desk):
@@ -287,14 +289,14 @@ def test_an_old_map_does_not_push_out_a_newer_one(desk):
 
 def test_a_map_of_before_a_reset_that_is_encoded_late_does_not_push_out_the_new_ones(desk, monkeypatch):
     desk.scan(2.0)
-    encode, entered, go_on = answers_module.encode_png, threading.Event(), threading.Event()
+    encode, entered, go_on = answers_module.MapPicture.png, threading.Event(), threading.Event()
 
     def slow(*arguments):
         entered.set()
         assert go_on.wait(10.0)
         return encode(*arguments)
 
-    monkeypatch.setattr(answers_module, "encode_png", slow)
+    monkeypatch.setattr(answers_module.MapPicture, "png", slow)
     late = []
     thread = threading.Thread(target=lambda: late.append(desk.answers.map("png", {})))
     thread.start()

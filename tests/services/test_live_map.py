@@ -15,9 +15,10 @@ from ogm_core.lattice import Region
 from ogm_core.quality.figures import Consistency, map_figures, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import lab, load_world
+from ogm_core.status import MapInfo
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import live_map as live_map_module
-from ogm_services.mapper.live.live_map import FIGURES_PERIOD, RECENT_SCANS, LiveMap
+from ogm_services.mapper.live.live_map import FIGURES_PERIOD, RECENT_SCANS, Identity, LiveMap
 from ogm_services.replies.answer import Unavailable
 
 HERE = Pose(0.25, 0.25, 0.0)
@@ -89,22 +90,23 @@ def test_the_map_is_its_grid(live):
             scan(1 + stamp / 4, stamp), HERE
         )
     assert live.snapshot().cells.tobytes() == twin.snapshot().cells.tobytes()
-    assert live.identity() == {"epoch": "first", "revision": 3, "stamp": 9}
-    assert {k: v for k, v in live.info().items() if k != "known_cells"} == {
-        "bytes": twin.nbytes,
-        "width": twin.rect.width,
-        "height": 1,
-        "resolution": 0.5,
-    }
+    assert live.now == Identity(epoch="first", revision=3, stamp=9)
+    assert live.info() == MapInfo(
+        known_cells=live.info().known_cells,
+        bytes=twin.nbytes,
+        width=twin.rect.width,
+        height=1,
+        resolution=0.5,
+    )
 
 
 def test_a_scan_that_is_refused_leaves_everything_as_it_was(live):
     live.integrate(scan(), HERE)
-    before, identity, quality = live.snapshot(), live.identity(), live.quality()
+    before, identity, quality = live.snapshot(), live.now, live.quality()
     with pytest.raises(LimitReached):
         live.integrate(scan(), Pose(1e9, 1e9, 0.0))
     assert live.snapshot() is before
-    assert live.identity() == identity
+    assert live.now == identity
     assert live.quality() is quality
 
 
@@ -138,26 +140,26 @@ def test_quality_of_a_map_that_does_not_change_is_computed_once(live, clock, cou
 
 
 def test_known_cells_may_be_old_and_the_size_is_not(live, clock):
-    assert (live.info()["known_cells"], live.info()["width"]) == (0, 0)
+    assert (live.info().known_cells, live.info().width) == (0, 0)
     live.integrate(scan(), HERE)
-    assert (live.info()["known_cells"], live.info()["width"]) == (0, 4)
+    assert (live.info().known_cells, live.info().width) == (0, 4)
     clock.now += 2.9
-    assert live.info()["known_cells"] == 0
+    assert live.info().known_cells == 0
     clock.now += 0.1
-    assert live.info()["known_cells"] == 4
+    assert live.info().known_cells == 4
     live.integrate(scan(3.0), HERE)
     assert live.quality()["known_m2"] == 6 * 0.25  # each figure has a second of its own
-    assert live.info()["known_cells"] == 4
+    assert live.info().known_cells == 4
 
 
 def test_known_cells_are_counted_once_a_second_at_most_for_those_who_do_not_ask(live, clock):
     live.count_known()
     live.integrate(scan(), HERE)
     live.count_known()
-    assert live.info()["known_cells"] == 0
+    assert live.info().known_cells == 0
     clock.now += 1.0
     live.count_known()
-    assert live.info()["known_cells"] == 4
+    assert live.info().known_cells == 4
 
 
 def test_quality_is_that_of_the_map_and_of_its_scans(live):
@@ -234,10 +236,10 @@ def test_readers_get_whole_maps_while_it_is_written(settings, eventually):
 
 def test_after_a_reset_no_figure_is_the_old_maps(live, clock):
     live.integrate(scan(), HERE)
-    assert live.info()["known_cells"] == 4
+    assert live.info().known_cells == 4
     assert live.quality()["known_m2"] == 1.0
     live.reset("second")
-    assert live.info()["known_cells"] == 0
+    assert live.info().known_cells == 0
     assert live.quality()["known_m2"] == 0.0
 
 

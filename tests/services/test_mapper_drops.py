@@ -6,6 +6,7 @@ from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.placing.pose_history import CAPACITY
 from ogm_core.placing.scan_placer import MAX_WAITING
+from ogm_core.status import PoseCounts, SourceStatus
 from ogm_core.types import Pose
 
 
@@ -115,8 +116,8 @@ def test_a_scan_that_waits_dropped_or_carries_its_pose_counts_as_seen():
 def test_a_pose_that_is_not_later_is_counted_and_ignored():
     desk = Desk().pose(0).pose(100).scan(150)
     desk.pose(100, Pose(9, 9, 9)).pose(50, Pose(9, 9, 9))
-    assert desk.receipts.status()["poses"] == {"received": 4, "malformed": 0, "late": 2}
-    assert desk.receipts.status()["robots"]["r"]["stamp"] == T0 + 100 * MS
+    assert desk.receipts.status().poses == PoseCounts(received=4, malformed=0, late=2)
+    assert desk.receipts.status().robots["r"].stamp == T0 + 100 * MS
     desk.scan(50).scan(100).pose(200)
     assert desk.xs == pytest.approx([0.05, 0.1, 0.15])
 
@@ -125,7 +126,7 @@ def test_a_new_run_begins_a_new_history():
     desk = Desk().pose(1000, run="a").pose(1100, run="a").scan(1200).scan(1300)
     desk.pose(10, Pose(-1, 0, 0), run="b")  # its clock is behind
     assert (desk.pending, desk.dropped) == (0, {"no_pose": 2})
-    assert desk.receipts.status()["poses"]["late"] == 0
+    assert desk.receipts.status().poses.late == 0
     desk.scan(1050).scan(5).scan(10).pose(20, Pose(-2, 0, 0), run="b").scan(15)
     # The old run's poses are gone: 1050 ms lies ahead, 5 ms behind.
     assert (desk.order, desk.xs) == ([4, 5], [-1, pytest.approx(-1.5)])
@@ -152,12 +153,12 @@ def test_a_run_seen_before_does_not_begin_again():
     desk = Desk().pose(0, run="a").pose(100, run="b").scan(150)
     desk.pose(50, run="a").pose(200, run="a")
     assert (desk.order, desk.xs) == ([0], [pytest.approx(0.15)])
-    assert desk.receipts.status()["poses"]["late"] == 1
+    assert desk.receipts.status().poses.late == 1
 
 
 def test_poses_without_a_run_are_a_run_of_their_own():
     desk = Desk().pose(1000).pose(10).pose(5, run="a").pose(7)
-    assert desk.receipts.status()["poses"]["late"] == 1
+    assert desk.receipts.status().poses.late == 1
     assert desk.scan(6).xs == [pytest.approx(0.006)]
 
 
@@ -203,8 +204,8 @@ def test_refusals_are_counted_under_their_slug():
     desk = Desk(sink).pose(0).scan(0).scan(0).scan(0).scan(5).scan(5).scan(5).pose(5)
     assert desk.order == [0, 3, 5]
     assert desk.dropped == {"limit": 2, "outside": 1}
-    sources = desk.receipts.status()["robots"]["r"]["sources"]["s"]
-    assert sources == {"run": "", "last_seq": 5, "received": 6, "pending": 0, "integrated": 3}
+    source = desk.receipts.status().robots["r"].sources["s"]
+    assert source == SourceStatus(run="", last_seq=5, received=6, pending=0, integrated=3)
 
 
 def test_a_bug_in_the_sink_is_not_a_refusal():
@@ -220,8 +221,8 @@ def test_headings_that_no_float_can_tell_apart_are_no_bug():
 
 def test_the_status_says_where_a_robot_is():
     desk = Desk().pose(10, Pose(1, 2, 3)).scan(10, run="a", seq=7)
-    robot = desk.receipts.status()["robots"]["r"]
-    assert (robot["pose"], robot["stamp"]) == ([1, 2, 3], T0 + 10 * MS)
+    robot = desk.receipts.status().robots["r"]
+    assert (robot.pose, robot.stamp) == (Pose(1, 2, 3), T0 + 10 * MS)
     desk.scan(20, pose=Pose(4, 5, 6))
-    robot = desk.receipts.status()["robots"]["r"]
-    assert (robot["pose"], robot["stamp"]) == ([4, 5, 6], T0 + 20 * MS)
+    robot = desk.receipts.status().robots["r"]
+    assert (robot.pose, robot.stamp) == (Pose(4, 5, 6), T0 + 20 * MS)

@@ -195,6 +195,35 @@ def test_docs_load_nothing_from_elsewhere(cross):
         assert len(cross.http.get(urljoin("/docs", address)).raise_for_status().content) > 100
 
 
+def test_openapi_says_what_a_status_holds(cross):
+    document, status = cross.http.get("/openapi.json").json(), cross.status()
+    schemas = document["components"]["schemas"]
+
+    def compare(value, schema):
+        """Whether a value has the schema's names, in its order, down to the leaves."""
+        if "anyOf" in schema:
+            [schema] = [one for one in schema["anyOf"] if one.get("type") != "null"]
+        if "$ref" in schema:
+            schema = schemas[schema["$ref"].removeprefix("#/components/schemas/")]
+        if "properties" in schema:
+            assert list(value) == list(schema["properties"]) == schema["required"]
+            for name, inner in schema["properties"].items():
+                compare(value[name], inner)
+        elif schema["type"] == "object":
+            for inner in value.values():
+                compare(inner, schema["additionalProperties"])
+        else:
+            kinds = {"integer": int, "number": float, "string": str, "array": list}
+            assert value is None or isinstance(value, kinds[schema["type"]])
+
+    for path, method in (("/status", "get"), ("/reset", "post")):
+        content = document["paths"][path][method]["responses"]["200"]["content"]
+        assert list(content) == ["application/json"]
+        assert content["application/json"]["schema"] == {"$ref": "#/components/schemas/Status"}
+    compare(status, {"$ref": "#/components/schemas/Status"})
+    assert status["robots"]
+
+
 def test_openapi_documents_every_route_and_its_parameters(cross):
     document = cross.http.get("/openapi.json").json()
     assert document["openapi"].startswith("3.")

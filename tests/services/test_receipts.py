@@ -6,12 +6,13 @@ import pytest
 
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
 from ogm_core.types import Pose
+from status_json import as_json
 
 NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
 
 
 def test_an_empty_ledger_has_every_name_of_the_status():
-    assert Receipts().status() == {
+    assert as_json(Receipts().status()) == {
         "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED},
         "poses": {"received": 0, "malformed": 0, "late": 0},
         "other": {"ignored": 0},
@@ -31,7 +32,7 @@ def test_scans_are_counted_by_source_and_in_total():
     receipts.scan_taken("b", "s", "run2", 9)
     receipts.scan_dropped("b", "s", "stale")
     receipts.scan_dropped("b", "s", "malformed")
-    status = receipts.status()
+    status = as_json(receipts.status())
     assert status["scans"] == {
         "received": 5,
         "integrated": 1,
@@ -51,9 +52,9 @@ def test_scans_are_counted_by_source_and_in_total():
 def test_a_dropped_scan_is_not_pending(reason):
     receipts = Receipts()
     receipts.scan_received("a", "s")
-    assert receipts.status()["scans"]["pending"] == 1
+    assert receipts.status().scans.pending == 1
     receipts.scan_dropped("a", "s", reason)
-    assert receipts.status()["scans"] == {
+    assert as_json(receipts.status())["scans"] == {
         "received": 1,
         "integrated": 0,
         "pending": 0,
@@ -65,7 +66,7 @@ def test_the_last_seq_is_that_of_the_scan_taken_last():
     receipts = Receipts()
     for run, seq in (("x", 5), ("x", 7), ("y", 0)):
         receipts.scan_taken("a", "s", run, seq)
-    source = receipts.status()["robots"]["a"]["sources"]["s"]
+    source = as_json(receipts.status())["robots"]["a"]["sources"]["s"]
     assert (source["run"], source["last_seq"]) == ("y", 0)
 
 
@@ -77,7 +78,7 @@ def test_poses_and_other_messages():
     receipts.pose_refused("malformed")
     receipts.pose_refused("late")
     receipts.ignored()
-    status = receipts.status()
+    status = as_json(receipts.status())
     assert status["poses"] == {"received": 4, "malformed": 1, "late": 2}
     assert status["other"] == {"ignored": 1}
     assert status["robots"] == {"a": {"pose": None, "stamp": None, "sources": {}}}
@@ -87,17 +88,18 @@ def test_a_robot_is_where_it_was_last_said_to_be():
     receipts = Receipts()
     receipts.located("a", 5, Pose(1.0, 2.0, 3.0))
     receipts.located("a", 7, Pose(4.0, 5.0, 6.0))
-    assert receipts.status()["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
+    assert as_json(receipts.status())["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
 
 
 def test_a_status_is_a_copy():
     receipts = Receipts()
     receipts.scan_received("a", "s")
     before = receipts.status()
-    before["poses"]["received"] = 99
-    before["robots"].clear()
-    assert receipts.status()["poses"]["received"] == 0
-    assert list(receipts.status()["robots"]) == ["a"]
+    before.scans.dropped.clear()
+    before.robots["a"].sources.clear()
+    before.robots.clear()
+    assert as_json(receipts.status())["scans"]["dropped"] == NOTHING_DROPPED
+    assert list(receipts.status().robots["a"].sources) == ["s"]
 
 
 def test_the_books_balance_at_every_moment_whatever_other_threads_do():
@@ -114,7 +116,7 @@ def test_the_books_balance_at_every_moment_whatever_other_threads_do():
 
     def watch():
         while not done.is_set():
-            scans = receipts.status()["scans"]
+            scans = as_json(receipts.status())["scans"]
             total = scans["integrated"] + scans["pending"] + sum(scans["dropped"].values())
             if scans["received"] != total or scans["pending"] not in (0, 1, 2, 3):
                 unbalanced.append(scans)
@@ -129,5 +131,5 @@ def test_the_books_balance_at_every_moment_whatever_other_threads_do():
     done.set()
     watcher.join(20)
     assert unbalanced == []
-    scans = receipts.status()["scans"]
+    scans = as_json(receipts.status())["scans"]
     assert (scans["received"], scans["integrated"], scans["pending"]) == (3 * rounds, 3 * rounds // 2, 0)

@@ -211,13 +211,13 @@ def _judged(
 
 
 def _report(messages: RecordingReader, receipts: Receipts, first: _MapPass) -> str:
-    books = receipts.status()
+    counts = receipts.status()
     parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
     if first.held:
         parts.append(f"{len(first.held)} held out")
-    parts += [f"{count} dropped: {reason}" for reason, count in books["scans"]["dropped"].items() if count]
-    if books["poses"]["late"]:
-        parts.append(f"{books['poses']['late']} poses late")
+    parts += [f"{count} dropped: {reason}" for reason, count in counts.scans.dropped.items() if count]
+    if counts.poses.late:
+        parts.append(f"{counts.poses.late} poses late")
     if messages.malformed:
         parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
     if messages.not_read:

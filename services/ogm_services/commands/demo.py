@@ -15,7 +15,9 @@ from ogm_client.map_client import MapClient
 from ogm_client.session import listens_on, resolve_listen
 from ogm_core.errors import OgmError
 from ogm_core.simulation.catalogue import world_named
+from ogm_core.status import ScanCounts
 from ogm_services.mapper.service import LIVE_MAP
+from ogm_services.replies.status_reply import read_status
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.settings import Settings
@@ -56,7 +58,7 @@ def run_demo(settings: Settings, *, world: str, duration: float | None, out: Pat
             url = _announced(mapper)
             with _process("simulate", "--config", str(for_robot), "--world", world) as simulator:
                 _run(mapper, simulator, url, duration)
-            _until(lambda: _scans(url)["pending"] == 0, mapper, deadline=time.monotonic() + DRAIN)
+            _until(lambda: _scans(url).pending == 0, mapper, deadline=time.monotonic() + DRAIN)
 
 
 def _settings_files(settings: Settings, folder: Path) -> tuple[Path, Path]:
@@ -86,9 +88,13 @@ def _announced(mapper: Process) -> str:
 def _run(mapper: Process, simulator: Process, url: str, duration: float | None) -> None:
     if duration is not None:
         soon = time.monotonic() + FIRST_SCAN
-        _until(lambda: _scans(url)["integrated"] > 0, mapper, simulator, deadline=soon)
-        if not _scans(url)["integrated"]:
-            raise DemoFailed(f"no scan was integrated within {FIRST_SCAN:g} s: {_scans(url)}")
+        _until(lambda: _scans(url).integrated > 0, mapper, simulator, deadline=soon)
+        scans = _scans(url)
+        if not scans.integrated:
+            raise DemoFailed(
+                f"no scan was integrated within {FIRST_SCAN:g} s: {scans.received} received, {scans.pending} "
+                f"pending, {sum(scans.dropped.values())} dropped"
+            )
     _until(
         lambda: False, mapper, simulator, deadline=None if duration is None else time.monotonic() + duration
     )
@@ -103,10 +109,9 @@ def _until(reached: Callable[[], bool], *processes: Process, deadline: float | N
         time.sleep(POLL)
 
 
-def _scans(url: str) -> dict[str, int]:
+def _scans(url: str) -> ScanCounts:
     with MapClient(url) as client:
-        scans: dict[str, int] = client.status()["scans"]
-        return scans
+        return read_status(client.status()).scans
 
 
 @contextmanager

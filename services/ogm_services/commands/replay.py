@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import typer
 import zenoh
@@ -17,7 +17,9 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.errors import OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
+from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import Source
+from ogm_services.replies.status_reply import read_status
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import NetworkSettings
 
@@ -50,7 +52,7 @@ class _Sent:
     ahead: deque[tuple[str, int]] = field(default_factory=deque)
     """(run, seq) of the scans that the mapper has not taken yet, as far as known."""
 
-    def taken(self, run: str, seq: int) -> None:
+    def taken(self, run: str, seq: int | None) -> None:
         """Forget everything up to a scan that the mapper says it has taken."""
         if (run, seq) in self.ahead:
             while self.ahead.popleft() != (run, seq):
@@ -102,7 +104,7 @@ class _Replay:
         self._robots: dict[str, RobotPublisher] = {}
         self._seqs: Counter[Source] = Counter()
         self._sent: dict[Source, _Sent] = {}
-        self._before = self._status = self._client.status()
+        self._before = self._status = read_status(self._client.status())
 
     def publish(self, recorded: Recorded) -> None:
         """Send a message under a fresh run; wait first if too many scans of its source are on their way."""
@@ -129,7 +131,7 @@ class _Replay:
             return all(self._since(source, "received") >= sent.total for source, sent in self._sent.items())
 
         def handled() -> bool:
-            return all(_books(self._status, source)["pending"] == 0 for source in self._sent)
+            return all(_books(self._status, source).pending == 0 for source in self._sent)
 
         self._follow()
         self._patiently(received, "taking scans")
@@ -154,18 +156,19 @@ class _Replay:
         done = sum(self._since(source, "received") - self._since(source, "pending") for source in self._sent)
         if self._integrated() >= done:
             return {}
-        before, now = (status["scans"]["dropped"] for status in (self._before, self._status))
+        before, now = (status.scans.dropped for status in (self._before, self._status))
         return {reason: now[reason] - before[reason] for reason in now if now[reason] > before[reason]}
 
-    def _since(self, source: Source, count: str) -> int:
-        return int(_books(self._status, source)[count] - _books(self._before, source)[count])
+    def _since(self, source: Source, count: Literal["received", "pending", "integrated"]) -> int:
+        before, now = _books(self._before, source), _books(self._status, source)
+        return int(getattr(now, count) - getattr(before, count))
 
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
-        self._status = self._client.status()
+        self._status = read_status(self._client.status())
         for source, sent in self._sent.items():
             book = _books(self._status, source)
-            sent.taken(book["run"], book["last_seq"])
+            sent.taken(book.run, book.last_seq)
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
         """Poll until `reached`; give up when the books of our sources stand still for too long, s."""
@@ -179,7 +182,7 @@ class _Replay:
             if self._progress() != seen:
                 deadline, seen = time.monotonic() + patience, self._progress()
 
-    def _progress(self) -> list[dict[str, Any]]:
+    def _progress(self) -> list[SourceStatus]:
         return [_books(self._status, source) for source in self._sent]
 
     def _publisher(self, robot: str) -> RobotPublisher:
@@ -218,12 +221,11 @@ class _Pace:
         self._newest = stamp if self._newest is None else max(self._newest, stamp)
 
 
-def _books(status: dict[str, Any], source: Source) -> dict[str, Any]:
+def _books(status: Status, source: Source) -> SourceStatus:
     """What a mapper's status says of one source; zeros before its first scan."""
-    nothing = {"run": "", "last_seq": None, "received": 0, "pending": 0, "integrated": 0}
-    sources = status["robots"].get(source.robot, {"sources": {}})["sources"]
-    books: dict[str, Any] = sources.get(source.sensor, nothing)
-    return books
+    robot = status.robots.get(source.robot)
+    known = None if robot is None else robot.sources.get(source.sensor or "")
+    return known or SourceStatus(run="", last_seq=None, received=0, pending=0, integrated=0)
 
 
 def _passed_over(messages: RecordingReader) -> str:

@@ -2,51 +2,51 @@
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 
 from rich import box
 from rich.table import Table
 
+from ogm_core.status import RobotStatus, Status
 
-def status_tables(status: Mapping[str, Any]) -> list[Table]:
+
+def status_tables(status: Status) -> list[Table]:
     """The mapper's status for the eye: the map as a whole, then a row for every robot and sensor."""
-    scans, poses, info = status["scans"], status["poses"], status["map_info"]
-    whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status['map']}", title_justify="left")
+    scans, poses, info = status.scans, status.poses, status.map_info
+    whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status.map}", title_justify="left")
     whole.add_column(style="bold")
     whole.add_column()
     rows = {
-        "epoch": status["epoch"],
-        "revision": status["revision"],
-        "stamp": _time(status["stamp"]),
-        "scans": _counts(scans, "received", "integrated", "pending"),
-        "dropped": _nonzero(scans["dropped"]),
-        "poses": _counts(poses, "received", "malformed", "late"),
-        "ignored": status["other"]["ignored"],
-        "size": f"{info['width']} x {info['height']} cells of {info['resolution']:g} m",
-        "known": f"{info['known_cells']} cells",
-        "memory": f"{info['bytes'] / 1e6:.1f} MB",
-        "up": f"{status['uptime_s']:.0f} s",
+        "epoch": status.epoch,
+        "revision": status.revision,
+        "stamp": _time(status.stamp),
+        "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
+        "dropped": _nonzero(scans.dropped),
+        "poses": f"{poses.received} received, {poses.malformed} malformed, {poses.late} late",
+        "ignored": status.other.ignored,
+        "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
+        "known": f"{info.known_cells} cells",
+        "memory": f"{info.bytes / 1e6:.1f} MB",
+        "up": f"{status.uptime_s:.0f} s",
     }
     for label, value in rows.items():
         whole.add_row(label, str(value))
-    return [whole, _sources(status["robots"])]
+    return [whole, _sources(status.robots)]
 
 
-def _sources(robots: Mapping[str, Any]) -> Table:
+def _sources(robots: Mapping[str, RobotStatus]) -> Table:
     table = Table(box=box.SIMPLE, collapse_padding=True, pad_edge=False)
     for column in ("robot", "x", "y", "theta", "sensor", "received", "integrated", "pending", "last seq"):
         table.add_column(column, justify="left" if column in ("robot", "sensor") else "right")
     for name, robot in sorted(robots.items()):
-        pose = [f"{value:.2f}" for value in robot["pose"] or ()] or [""] * 3
-        for sensor, source in sorted(robot["sources"].items()) or [("", {})]:
-            counts = (source.get(key) for key in ("received", "integrated", "pending", "last_seq"))
-            table.add_row(name, *pose, sensor, *("" if count is None else str(count) for count in counts))
+        pose = [f"{value:.2f}" for value in robot.pose or ()] or [""] * 3
+        if not robot.sources:
+            table.add_row(name, *pose)
+        for sensor, source in sorted(robot.sources.items()):
+            last_seq = "" if source.last_seq is None else str(source.last_seq)
+            counts = (source.received, source.integrated, source.pending)
+            table.add_row(name, *pose, sensor, *map(str, counts), last_seq)
             name, pose = "", [""] * 3  # once per robot
     return table
-
-
-def _counts(values: Mapping[str, int], *keys: str) -> str:
-    return ", ".join(f"{values[key]} {key}" for key in keys)
 
 
 def _nonzero(dropped: Mapping[str, int]) -> str:

@@ -12,6 +12,7 @@ from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.status import MapInfo
 from ogm_core.tiles.copies import Tiles
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.replies.answer import Unavailable
@@ -88,10 +89,6 @@ class LiveMap:
         """Epoch, revision and stamp of this moment; waits for nobody."""
         return self._state.identity
 
-    def identity(self) -> dict[str, Any]:
-        """The same by name."""
-        return self.now._asdict()
-
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""
         with self._reading:
@@ -99,16 +96,16 @@ class LiveMap:
             with self._writing:
                 return self._current_snapshot(room)
 
-    def info(self) -> dict[str, Any]:
+    def info(self) -> MapInfo:
         """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
         state = self._state
-        return {
-            "known_cells": self._figure(self._known_cells, self._known_cells_now, patient=True),
-            "bytes": state.nbytes,
-            "width": state.width,
-            "height": state.height,
-            "resolution": self._grid.lattice.resolution,
-        }
+        return MapInfo(
+            known_cells=self._figure(self._known_cells, self._known_cells_now, patient=True),
+            bytes=state.nbytes,
+            width=state.width,
+            height=state.height,
+            resolution=self._grid.lattice.resolution,
+        )
 
     def count_known(self) -> None:
         """Bring the number of known cells up to date, so that nobody who asks for it need wait."""
@@ -207,8 +204,8 @@ class LiveMap:
         if not cached.lock.acquire(blocking=not patient or cached.identity is None):
             return cast(_T, cached.value)
         try:
-            identity = self.identity()
-            new_life = cached.identity is None or cached.identity["epoch"] != identity["epoch"]
+            identity = self.now
+            new_life = cached.identity is None or cached.identity.epoch != identity.epoch
             changed = identity != cached.identity or world is not cached.world
             old = time.monotonic() - cached.time >= (PATIENCE if patient else FIGURES_PERIOD)
             if new_life or (old and changed):
@@ -225,6 +222,6 @@ class _Figure:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.value: Any = None
-        self.identity: dict[str, Any] | None = None
+        self.identity: Identity | None = None
         self.world: World | None = None
         self.time = 0.0

@@ -52,10 +52,10 @@ class Monitor:
             self._stopping.wait(LOOK_PERIOD)
 
     def _look(self, ask_truth: Callable[[], list[bytes]]) -> None:
-        identity = self._map.identity()
-        self.truth.heard(identity["epoch"], ask_truth())
+        epoch, revision, _ = self._map.now
+        self.truth.heard(epoch, ask_truth())
         began = time.monotonic()
-        if self.series.due(identity["epoch"], identity["revision"], began):
+        if self.series.due(epoch, revision, began):
             snapshot = self._map.snapshot()
             self.series.take(snapshot, sample_of(snapshot), began, time.monotonic())
         self._map.count_known()

@@ -23,6 +23,7 @@ from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.status import Status, encode_status
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
@@ -166,7 +167,7 @@ class Answers:
     def status(self, given: Parameters) -> Answer:
         """The mapper's status."""
         _check_names(given, ())
-        return _json(self.status_fields())
+        return Answer(encode_status(self.current_status()), "application/json")
 
     def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
         """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`.
@@ -176,23 +177,27 @@ class Answers:
         self.check_ready()
         world = self._observer.truth.world
         figures = self._map.fresh_quality(world, within) if fresh else self._map.quality(world)
-        series = self._observer.series.columns(self._map.identity()["epoch"])
+        series = self._observer.series.columns(self._map.now.epoch)
         return {**figures, "series": series}
 
-    def status_fields(self) -> dict[str, Any]:
+
+    def current_status(self) -> Status:
         """The mapper's status, not yet encoded."""
         self.check_ready()
-        books = self._receipts.status()
-        return {
-            "map": self._map_name,
-            **self._map.identity(),
-            "scans": books["scans"],
-            "poses": books["poses"],
-            "other": books["other"],
-            "map_info": self._map.info(),
-            "robots": books["robots"],
-            "uptime_s": time.monotonic() - self._started,
-        }
+        counts = self._receipts.status()
+        epoch, revision, stamp = self._map.now
+        return Status(
+            map=self._map_name,
+            epoch=epoch,
+            revision=revision,
+            stamp=stamp,
+            scans=counts.scans,
+            poses=counts.poses,
+            other=counts.other,
+            map_info=self._map.info(),
+            robots=counts.robots,
+            uptime_s=time.monotonic() - self._started,
+        )
 
 
 class _AnswerCache:

@@ -15,6 +15,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ogm_core.errors import BadParameter, OgmError
+from ogm_core.status import Status
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.serving.metrics import prometheus_text
 from ogm_services.mapper.serving.ready_maps import ReadyMaps
@@ -82,10 +83,10 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
         _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))
     _get(app, "/cell", _handler(answers.cell), "application/json", "One cell", ["x", "y"])
     _get(app, "/quality", _handler(answers.quality), "application/json", "The quality figures")
-    _get(app, "/status", _handler(answers.status), "application/json", "The mapper's status")
+    _get(app, "/status", _handler(answers.status), "application/json", "The mapper's status", model=Status)
     _add_service_routes(app, answers, health, version)
 
-    @app.post("/reset", summary="Empty the map: a new epoch, revision 0")
+    @app.post("/reset", summary="Empty the map: a new epoch, revision 0", responses={200: {"model": Status}})
     async def post_reset(request: Request) -> Response:
         _parameters_of(request, allowed=False)
         await run_in_threadpool(reset)
@@ -110,7 +111,7 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
         return _probe(health.alive() and health.ready(), "the mapper is still starting")
 
     async def metrics(_: Request) -> Response:
-        text = prometheus_text(await run_in_threadpool(answers.status_fields))
+        text = prometheus_text(await run_in_threadpool(answers.current_status))
         return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
 
     async def show_version(_: Request) -> Response:
@@ -124,9 +125,15 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
 
 
 def _get(
-    app: FastAPI, path: str, handler: Handler, media_type: str, summary: str, parameters: Sequence[str] = ()
+    app: FastAPI,
+    path: str,
+    handler: Handler,
+    media_type: str,
+    summary: str,
+    parameters: Sequence[str] = (),
+    model: type | None = None,
 ) -> None:
-    """Route GET and HEAD; the parameters are documented here and checked where they are used."""
+    """Route GET and HEAD; parameters and the reply's `model` are documented here, and made elsewhere."""
     described = [
         {
             "name": name,
@@ -142,7 +149,7 @@ def _get(
         handler,
         summary=summary,
         response_class=Response,  # without a media type of its own, so that the one given here stands alone
-        responses={200: {"content": {media_type: {}}}},
+        responses={200: {"content": {media_type: {}}, "model": model}},
         openapi_extra={"parameters": described} if described else None,
     )
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)

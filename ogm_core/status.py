@@ -1,0 +1,103 @@
+"""What a mapper says of itself: its status, as it stands in JSON, name by name and in this order.
+
+A field that is added later gets a default value, so that whoever reads the status of an older mapper has one.
+"""
+
+import json
+from dataclasses import dataclass, fields
+from typing import Any
+
+from ogm_core.types import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCounts:
+    """Scans of all robots: received = integrated + pending + the sum of those dropped, at every moment."""
+
+    received: int
+    integrated: int
+    pending: int
+    dropped: dict[str, int]
+    """How many will never be in the map, by reason; another mapper may know other reasons."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseCounts:
+    """Poses of all robots: those that arrived, and of these those that were not used."""
+
+    received: int
+    malformed: int
+    late: int
+
+
+@dataclass(frozen=True, slots=True)
+class OtherCounts:
+    """Messages that are neither poses nor scans."""
+
+    ignored: int
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStatus:
+    """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue."""
+
+    run: str
+    last_seq: int | None
+    received: int
+    pending: int
+    integrated: int
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStatus:
+    """Where a robot was last said to be (x and y in m, theta in rad), when (ns), and its sensors by name."""
+
+    pose: Pose | None
+    stamp: int | None
+    sources: dict[str, SourceStatus]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageCounts:
+    """What came in, and what became of it: the part of a status that is counted message by message."""
+
+    scans: ScanCounts
+    poses: PoseCounts
+    other: OtherCounts
+    robots: dict[str, RobotStatus]
+
+
+@dataclass(frozen=True, slots=True)
+class MapInfo:
+    """The map's size: cells that are known, bytes allocated, width and height in cells, resolution in m."""
+
+    known_cells: int
+    bytes: int
+    width: int
+    height: int
+    resolution: float
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none."""
+
+    map: str
+    epoch: str
+    revision: int
+    stamp: int | None
+    scans: ScanCounts
+    poses: PoseCounts
+    other: OtherCounts
+    map_info: MapInfo
+    robots: dict[str, RobotStatus]
+    uptime_s: float
+
+
+def encode_status(status: Status) -> bytes:
+    """JSON form of a status."""
+    return json.dumps(status, default=_by_name).encode()
+
+
+def _by_name(part: Any) -> dict[str, Any]:  # noqa: ANN401 (whichever of the dataclasses above)
+    return {field.name: getattr(part, field.name) for field in fields(part)}

@@ -1,0 +1,39 @@
+"""The status as JSON: names, values and order are what those who read it rely on."""
+
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError
+
+import pytest
+
+from ogm_core.status import encode_status
+from status_json import STATUS
+
+
+def test_its_json_is_word_for_word_this():
+    assert encode_status(STATUS) == (
+        b'{"map": "hall", "epoch": "e1", "revision": 41, "stamp": 1700000000500000001, '
+        b'"scans": {"received": 50, "integrated": 41, "pending": 2, '
+        b'"dropped": {"malformed": 0, "no_pose": 7}}, '
+        b'"poses": {"received": 60, "malformed": 1, "late": 3}, "other": {"ignored": 5}, '
+        b'"map_info": {"known_cells": 1234, "bytes": 2500000, "width": 400, "height": 300, '
+        b'"resolution": 0.05}, '
+        b'"robots": {"r2": {"pose": [1.0, -2.5, 0.1], "stamp": 7, "sources": '
+        b'{"front": {"run": "a", "last_seq": null, "received": 40, "pending": 2, "integrated": 33}}}, '
+        b'"r1": {"pose": null, "stamp": null, "sources": {}}}, "uptime_s": 12.25}'
+    )
+
+
+def test_nobody_changes_it():
+    with pytest.raises(FrozenInstanceError):
+        STATUS.scans.received = 3
+
+
+def test_it_is_light():
+    program = (
+        "import sys, ogm_core.status; print({'pydantic', 'numba', 'zenoh', 'fastapi'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "set()\n"

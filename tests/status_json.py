@@ -1,0 +1,31 @@
+"""A status, and what JSON says of it or of its parts."""
+
+import dataclasses
+import json
+
+from ogm_core.status import MapInfo, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus, Status
+from ogm_core.types import Pose
+
+STATUS = Status(
+    map="hall",
+    epoch="e1",
+    revision=41,
+    stamp=1_700_000_000_500_000_001,
+    scans=ScanCounts(received=50, integrated=41, pending=2, dropped={"malformed": 0, "no_pose": 7}),
+    poses=PoseCounts(received=60, malformed=1, late=3),
+    other=OtherCounts(ignored=5),
+    map_info=MapInfo(known_cells=1234, bytes=2_500_000, width=400, height=300, resolution=0.05),
+    robots={
+        "r2": RobotStatus(
+            Pose(1.0, -2.5, 0.1),
+            7,
+            {"front": SourceStatus(run="a", last_seq=None, received=40, pending=2, integrated=33)},
+        ),
+        "r1": RobotStatus(None, None, {}),
+    },
+    uptime_s=12.25,
+)
+
+
+def as_json(part):
+    return json.loads(json.dumps(part, default=dataclasses.asdict))
