@@ -180,7 +180,6 @@ class Answers:
         series = self._observer.series.columns(self._map.now.epoch)
         return {**figures, "series": series}
 
-
     def current_status(self) -> Status:
         """The mapper's status, not yet encoded."""
         self.check_ready()
