@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput
 from ogm_core.lattice import Lattice
@@ -16,7 +17,8 @@ NAMES = ["map.npz", "map.pgm", "map.png", "map.yaml", "quality.json"]
 
 def snapshot():
     cells = np.array([[1.5, -1.5, 0.0]])
-    return MapSnapshot(cells, LogOdds(cells="float64"), Lattice(0.1), (0, 0), "epoch", 1, None)
+    model = LogOdds(cells="float64")
+    return MapSnapshot(CellArrays.of(model, cells), model, Lattice(0.1), (0, 0), "epoch", 1, None)
 
 
 def test_all_files_of_a_map_are_written(tmp_path):

@@ -79,10 +79,10 @@ def test_mapping_goes_on_after_a_bug(start_mapper, monkeypatch, caplog, place):
 
 
 def test_no_memory_is_a_limit_and_no_bug(mapper, monkeypatch):
-    def no_memory(_):
+    def no_memory(*_):
         raise MemoryError
 
-    monkeypatch.setattr(mapper.service.live_map._grid, "_update", no_memory)
+    monkeypatch.setattr(mapper.service.live_map._grid, "_add", no_memory)
     mapper.scan([1.0], pose=HERE)
     dropped = mapper.settle(received=1)["scans"]["dropped"]
     assert {reason: count for reason, count in dropped.items() if count} == {"limit": 1}

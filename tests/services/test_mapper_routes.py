@@ -86,7 +86,7 @@ def test_status(cross):
         *("map", "epoch", "revision", "stamp", "scans", "poses", "other", "map_info", "robots", "uptime_s")
     ]
     assert (status["map"], status["revision"], status["stamp"]) == ("hall", 3, 1_700_000_000_000_000_003)
-    reasons = ["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside"]
+    reasons = ["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"]
     dropped = dict.fromkeys(reasons, 0)
     assert status["scans"] == {"received": 3, "integrated": 3, "pending": 0, "dropped": dropped}
     assert status["poses"] == {"received": 0, "malformed": 0, "late": 0}
