@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 
 import pytest
 import yaml
@@ -349,3 +351,19 @@ def test_both_names_at_once_are_refused():
         BadSetting, match=r"map\.model is map\.sensor_model now: give one of them \(--model\)"
     ):
         load_settings(config=None, flags=flags, environ={})
+
+
+def test_no_settings_are_made_by_loading_what_reads_them():
+    """Made while modules load, they would cost every command time, and miss the environment of later."""
+    program = """
+import gc
+from pydantic import BaseModel
+import ogm_services.cli
+from ogm_services.settings import flags, settings, sources, values
+assert issubclass(settings.Settings, BaseModel)
+print([type(made).__name__ for made in gc.get_objects() if isinstance(made, BaseModel)])
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert ended.stdout == "[]\n"
