@@ -61,7 +61,7 @@ def test_the_map_is_there_before_its_figures_are_looked_for(run, tmp_path, caplo
         add(consistency, placed, between)
 
     folder = run(look)
-    assert seen == [MAP]
+    assert seen[-1] == MAP  # the one before, if any, is the warm-up's, of a map of its own
     quality = json.loads((folder / "quality.json").read_text())
     assert (quality["scans"], quality["consistency"]["hits"]) == (1, 1.0)
     assert "missing" not in quality
