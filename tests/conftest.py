@@ -10,20 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from ogm_services.runtime.kernel_cache import VARIABLE, kernel_cache
+from ogm_services.runtime.kernel_cache import kernel_cache
 
 GIVEN_UP = 30.0
 """When `eventually` gives up, s."""
 
 
 def pytest_configure(config):
-    """Keep the kernels that the tests compile, they and what they start, in a folder as `ogm` does.
-
-    Every process of `pytest -n` has one of its own: two that save one kernel for different types at once may
-    leave either's code under the other's name, for numba picks the file's number before it writes.
-    """
-    if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-        os.environ[VARIABLE] = str(config.rootpath / "build" / "kernels" / worker)
+    """Keep the kernels that the tests compile, they and what they start, where `ogm` does."""
     cache = ExitStack()
     cache.enter_context(kernel_cache())
     config.add_cleanup(cache.close)

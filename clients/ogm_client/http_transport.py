@@ -1,4 +1,4 @@
-"""A mapper reached over HTTP."""
+"""HTTP transport: a mapper reached over HTTP."""
 
 import httpx
 

@@ -1,4 +1,4 @@
-"""Ask a running mapper for its map, over Zenoh or HTTP."""
+"""Client of a running mapper, over Zenoh or HTTP: asks for its map and its status."""
 
 import math
 import numbers

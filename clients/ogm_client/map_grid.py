@@ -1,4 +1,4 @@
-"""A map as it was at one revision: an array of cells that knows where it lies in the world."""
+"""Occupancy grid map at one revision: an array of cells that knows where it lies in the world."""
 
 import math
 import os

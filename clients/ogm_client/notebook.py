@@ -1,4 +1,4 @@
-"""A map as a notebook shows it: its picture above a scale bar and a line that says what it is."""
+"""HTML of a map in a notebook: its picture above a scale bar and a line that says what it is."""
 
 import base64
 import math

@@ -1,4 +1,4 @@
-"""Rays through a map: what a beam from a point in it would read.
+"""Ray casting in a map: what a beam from a point in it would read.
 
 The way through the cells is that of J. Amanatides, A. Woo: A fast voxel traversal algorithm for ray tracing,
 Eurographics 1987, and the arithmetic that of `ogm_core.quality.agreement.cast_ray`, which is compiled; here

@@ -1,4 +1,4 @@
-"""What a robot sends: its poses and scans, as Zenoh messages that a mapper integrates."""
+"""Publisher of a robot: its poses and scans, as Zenoh messages that a mapper integrates."""
 
 import threading
 import time

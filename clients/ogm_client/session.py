@@ -1,4 +1,4 @@
-"""How a process joins Zenoh: the one place where sessions are configured and opened.
+"""Zenoh sessions: the one place where they are configured and opened.
 
 Hermetic by default: a session talks to the endpoints that it is given and finds nobody else by itself, so two
 maps on one network never meet by accident, and tests leave loopback alone.

@@ -1,4 +1,4 @@
-"""What every way to reach a mapper offers: questions by the names of the HTTP routes, bytes back."""
+"""Protocol of the transports to a mapper: questions by the names of the HTTP routes, bytes back."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""A mapper reached over Zenoh."""
+"""Zenoh transport: a mapper reached over Zenoh."""
 
 from collections.abc import Mapping
 

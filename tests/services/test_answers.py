@@ -238,7 +238,7 @@ def test_quality_may_be_old_and_a_fresh_one_is_not(desk):
     assert json.loads(desk.answers.quality({}).body)["scans"] == 0
     fresh = desk.answers.quality_fields(fresh=True)
     assert (fresh["scans"], fresh["known_m2"], fresh["truth"]) == (1, 1.0, None)
-    assert fresh["series"]["revision"] == []  # nobody has started the observer
+    assert fresh["series"]["revision"] == []  # nobody has started the monitor
 
 
 def test_who_comes_while_a_map_is_encoded_shares_the_next(desk, monkeypatch, eventually):

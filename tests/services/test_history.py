@@ -24,7 +24,7 @@ class Look:
 
 
 def look(series, revision, now, *, epoch="e", cost=0.0, known=True):
-    """Look at a map as an observer does; whether it was due."""
+    """Look at a map as a monitor does; whether it was due."""
     due = series.due(epoch, revision, now)
     if due:
         sample = Sample(round(now * 1e9), revision, 0.5, revision / 2, revision / 4) if known else None

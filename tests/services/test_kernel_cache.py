@@ -45,12 +45,13 @@ with kernel_cache.kernel_cache():
     print(kernel_cache.begins_empty(), end=" ")
     {AS_NUMBA_DOES}
 """
+FOR_A_FLOAT = AS_OGM_DOES.replace("twice(0)", "twice(2.5)")
 
 
 def start(program, folder, **environ):
     """Start Python in a folder, its user's home beside it; it and what it starts are one group."""
     ours = without_settings(os.environ)
-    for name in (kernel_cache.VARIABLE, "XDG_CACHE_HOME", "TEMP", "TMP"):
+    for name in (kernel_cache.VARIABLE, kernel_cache.LOCATOR_VARIABLE, "XDG_CACHE_HOME", "TEMP", "TMP"):
         ours.pop(name, None)
     return subprocess.Popen(
         [sys.executable, *program],
@@ -120,6 +121,18 @@ def test_two_that_start_at_once_in_an_empty_folder_both_work(toy, tmp_path):
     both = [toy(3, NUMBA_CACHE_DIR=str(tmp_path / "kernels")) for _ in range(2)]
     assert [printed(process)[1] for process in both] == ["6", "6"]
     assert printed(toy(3, NUMBA_CACHE_DIR=str(tmp_path / "kernels"))) == ["False", "6", "1"]
+
+
+def test_two_that_compile_a_kernel_for_different_types_at_once_get_their_own(toy, tmp_path):
+    """As if both had looked for a free name before either wrote: the second does not see the first's list."""
+    kernels = str(tmp_path / "kernels")
+    assert printed(toy(1, NUMBA_CACHE_DIR=kernels)) == ["True", "2", "0"]
+    first = {file: file.read_bytes() for file in tmp_path.rglob("*.nbc")}
+    for index in tmp_path.rglob("*.nbi"):
+        index.unlink()
+    assert printed(toy(1, FOR_A_FLOAT, NUMBA_CACHE_DIR=kernels)) == ["True", "4.5", "0"]
+    assert {file: file.read_bytes() for file in first} == first
+    assert len(set(tmp_path.rglob("*.nbc")) - set(first)) == len(first) == 2
 
 
 def test_any_program_can_be_run_with_kernels_kept_so(tmp_path):

@@ -122,8 +122,8 @@ def test_what_is_too_long_for_its_kind_is_counted_and_not_even_copied(
         queue_put = mapper.service._queue.put
         monkeypatch.setattr(mapper.service._queue, "put", lambda item: put.append(item) or queue_put(item))
         for longer in (0, 1, 5_000_000):
-            mapper.put("robots/r/scan/s", padded(fields.scan([1.0] * 1000, pose=HERE), 8096 + longer))
             mapper.put("robots/r/pose", padded(fields.pose(x=1.5), 1024 + longer))
+            mapper.put("robots/r/scan/s", padded(fields.scan([1.0] * 1000, pose=HERE), 8096 + longer))
         status = mapper.settle(received=3)
     assert (status["scans"]["integrated"], status["scans"]["dropped"]["malformed"]) == (1, 2)
     assert status["poses"] == {"received": 3, "malformed": 2, "late": 0}

@@ -13,7 +13,7 @@ from ogm_core.simulation.catalogue import office
 from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_services.mapper.live import history as series_module
 from ogm_services.mapper.live import live_map as live_map_module
-from ogm_services.mapper.live import monitor as observer_module
+from ogm_services.mapper.live import monitor as monitor_module
 from ogm_services.mapper.live.history import Sample
 from ogm_services.mapper.serving import zenoh_routes as zenoh_routes_module
 
@@ -26,7 +26,7 @@ FIELDS = ["accuracy", "precision", "recall", "iou", "log_loss"]
 @pytest.fixture(autouse=True)
 def looking_often(monkeypatch):
     """So that nothing takes a second."""
-    monkeypatch.setattr(observer_module, "LOOK_PERIOD", 0.01)
+    monkeypatch.setattr(monitor_module, "LOOK_PERIOD", 0.01)
     monkeypatch.setattr(series_module, "PERIOD", 0.0)
     monkeypatch.setattr(series_module, "REST", 0.0)
     monkeypatch.setattr(live_map_module, "FIGURES_PERIOD", 0.0)
@@ -111,7 +111,7 @@ def test_of_two_simulators_one_counts(mapper, eventually):
         eventually(lambda: quality(mapper)["truth"] == expected[1])
         simulator(other, telling(told[0]))
         eventually(lambda: quality(mapper)["truth"] == expected[0])
-        heard = mapper.service._observer.truth._read
+        heard = mapper.service._monitor.truth._read
         assert [text.decode() for text in heard] == told
     eventually(lambda: quality(mapper)["truth"] == expected[1])
 
@@ -168,11 +168,11 @@ def test_the_series_grows_with_the_map_and_begins_again_with_it(mapper, eventual
     assert quality(mapper)["series"] == NO_SAMPLES
 
 
-def test_its_observer_is_a_thread_of_its_own_and_ends_with_the_mapper(start_mapper):
-    def observers():
-        return [thread.name for thread in threading.enumerate()].count("ogm-observer")
+def test_its_monitor_is_a_thread_of_its_own_and_ends_with_the_mapper(start_mapper):
+    def monitors():
+        return [thread.name for thread in threading.enumerate()].count("ogm-monitor")
 
-    before = observers()
+    before = monitors()
     with start_mapper():
-        assert observers() == before + 1
-    assert observers() == before
+        assert monitors() == before + 1
+    assert monitors() == before

@@ -1,4 +1,4 @@
-"""The mapper's observer: a thread that samples a live map and asks for the truth, until it is stopped."""
+"""The mapper's monitor: a thread that samples a live map and asks for the truth, until it is stopped."""
 
 import threading
 
@@ -11,17 +11,17 @@ from ogm_core.quality.figures import map_figures
 from ogm_core.simulation.worlds import dump_world, lab
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import history as series_module
-from ogm_services.mapper.live import monitor as observer_module
+from ogm_services.mapper.live import monitor as monitor_module
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import LOOK_PERIOD, Monitor
 
 
 class Watched:
-    """A live map and its observer, whose truth is `told`; `asked` counts how often it was asked for."""
+    """A live map and its monitor, whose truth is `told`; `asked` counts how often it was asked for."""
 
     def __init__(self):
         self.live = LiveMap(OccupancyGrid(GridSettings(resolution=0.5), "first"))
-        self.observer = Monitor(self.live)
+        self.monitor = Monitor(self.live)
         self.told = []
         self.asked = 0
 
@@ -34,20 +34,20 @@ class Watched:
         self.live.integrate(beam, Pose(0.25, 0.25, 0.0))
 
     def revisions(self, epoch="first"):
-        return self.observer.series.columns(epoch)["revision"]
+        return self.monitor.series.columns(epoch)["revision"]
 
 
 @pytest.fixture
 def watched(monkeypatch, eventually):
     """A watched map, looked at every few ms; at the end its thread must end, too."""
-    monkeypatch.setattr(observer_module, "LOOK_PERIOD", 0.005)
+    monkeypatch.setattr(monitor_module, "LOOK_PERIOD", 0.005)
     monkeypatch.setattr(series_module, "PERIOD", 0.0)
     monkeypatch.setattr(series_module, "REST", 0.0)
     watched = Watched()
-    watched.observer.start(watched.ask)
+    watched.monitor.start(watched.ask)
     yield watched
-    watched.observer.stop()
-    assert "ogm-observer" not in [thread.name for thread in threading.enumerate()]
+    watched.monitor.stop()
+    assert "ogm-monitor" not in [thread.name for thread in threading.enumerate()]
 
 
 def test_it_samples_every_change_that_it_sees_and_nothing_before(watched, eventually):
@@ -59,7 +59,7 @@ def test_it_samples_every_change_that_it_sees_and_nothing_before(watched, eventu
         eventually(lambda: watched.revisions()[-1:] == [revision])  # noqa: B023 - called at once
     asked = watched.asked
     eventually(lambda: watched.asked > asked + 3)
-    columns = watched.observer.series.columns("first")
+    columns = watched.monitor.series.columns("first")
     figures = map_figures(watched.live.snapshot())
     assert (columns["revision"], columns["stamp"]) == ([1, 2, 3], [1, 2, 3])
     assert {name: columns[name][-1] for name in ("entropy_bits", "mean_entropy_bits", "known_m2")} == {
@@ -72,26 +72,26 @@ def test_a_reset_begins_a_new_series(watched, eventually):
     eventually(watched.revisions)
     watched.live.reset("second")
     assert watched.revisions("second") == []
-    eventually(lambda: watched.observer.series.columns("first")["revision"] == [])
+    eventually(lambda: watched.monitor.series.columns("first")["revision"] == [])
     watched.scan()
     eventually(lambda: watched.revisions("second") == [1])
 
 
 def test_it_hears_a_world_and_that_it_is_gone(watched, eventually):
     watched.told = [dump_world(lab()).encode()]
-    world = eventually(lambda: watched.observer.truth.world)
+    world = eventually(lambda: watched.monitor.truth.world)
     assert world.name == "lab"
     watched.told = []
-    eventually(lambda: watched.observer.truth.world is None)
-    watched.observer.stop()
-    assert watched.observer.truth.world is world
+    eventually(lambda: watched.monitor.truth.world is None)
+    watched.monitor.stop()
+    assert watched.monitor.truth.world is world
 
 
 def test_a_look_that_fails_is_logged_and_not_the_last(watched, eventually, caplog):
     watched.told = None
     eventually(lambda: caplog.records)
     watched.told = [dump_world(lab()).encode()]
-    eventually(lambda: watched.observer.truth.world)
+    eventually(lambda: watched.monitor.truth.world)
     watched.scan()
     eventually(watched.revisions)
     assert {record.getMessage() for record in caplog.records} == {"a look at the map failed"}

@@ -1,4 +1,4 @@
-"""What the simulator is asked for; light, so that the command line loads nothing to ask."""
+"""Options of the simulator; light, so that the command line loads nothing to ask."""
 
 import math
 from dataclasses import dataclass

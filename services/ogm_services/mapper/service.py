@@ -110,7 +110,7 @@ def _write_results(out: Path, service: "MapperService") -> None:
 class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
-    Threads: the worker (owns the map), the observer (owns the series and the truth), one for HTTP's event
+    Threads: the worker (owns the map), the monitor (owns the series and the truth), one for HTTP's event
     loop with its pool, Zenoh's own, a small pool for Zenoh's queries, and one that makes rarely used kernels
     ready. All of them end with the `with`.
     """
@@ -125,10 +125,10 @@ class MapperService:
         mapper = ScanPlacer(self.live_map, receipts, LimitedLog(log).warning)
         self._queue, self._receipts = queue, receipts
         self._worker = Worker(queue, mapper, receipts, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
-        self._observer = Monitor(self.live_map)
+        self._monitor = Monitor(self.live_map)
         self._ready = threading.Event()
         self.answers = Answers(
-            settings.network.map_name, self.live_map, receipts, self._observer, self._ready.is_set
+            settings.network.map_name, self.live_map, receipts, self._monitor, self._ready.is_set
         )
         self._open = ExitStack()
         self.addresses: list[str] = []
@@ -187,8 +187,8 @@ class MapperService:
         self._worker.start()
         opening.callback(self._worker.stop)
         subscriber.declare()
-        opening.callback(self._observer.stop)
-        self._observer.start(routes.ask_truth)
+        opening.callback(self._monitor.stop)
+        self._monitor.start(routes.ask_truth)
         host, port = listener.getsockname()[:2]
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         self.addresses = [

@@ -1,4 +1,4 @@
-"""What a service answers, over HTTP and Zenoh alike; light, so that simulators load no kernels to answer."""
+"""Answer of a service, over HTTP and Zenoh alike; light, so that simulators load no kernels to answer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How an error is told: RFC 9457 problem details, the same over HTTP and in Zenoh error replies."""
+"""Problem details (RFC 9457): how errors are told, the same over HTTP and in Zenoh error replies."""
 
 import http
 import json

@@ -1,4 +1,4 @@
-"""Zenoh queryables that are never silent: a query gets an answer on a concrete key, or is told why not."""
+"""Queryables on Zenoh that are never silent: a query gets an answer on a concrete key, or is told why not."""
 
 import logging
 import threading

@@ -1,1 +1,1 @@
-"""What a finished map is written as."""
+"""Results: what a finished map is written as."""

@@ -1,4 +1,4 @@
-"""Where robots went: their positions at the scans that are in the map, as few of them as a picture needs."""
+"""Paths of robots: their positions at the scans that are in the map, as few of them as a picture needs."""
 
 import math
 

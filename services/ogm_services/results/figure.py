@@ -1,4 +1,4 @@
-"""The picture of a map that textbooks print: probabilities in grey, axes in metres, obstacles, robots' ways.
+"""Figure of a map as textbooks print it: probabilities in grey, axes in metres, obstacles, robots' ways.
 
 Loads matplotlib, which is the extra `plot`: import this only where a figure is wanted.
 """

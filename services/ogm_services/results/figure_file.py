@@ -1,4 +1,4 @@
-"""The file that a figure goes to: whether it can, found out before the work, and what writes it."""
+"""Output file of a figure: whether it can, found out before the work, and what writes it."""
 
 from pathlib import Path
 

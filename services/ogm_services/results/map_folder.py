@@ -1,4 +1,4 @@
-"""The files that a finished map is written as."""
+"""Folder of a finished map: the files that it is written as."""
 
 import json
 import re

@@ -1,1 +1,1 @@
-"""How a process starts, says how it is getting on, and ends."""
+"""Life of a process: how it starts, says how it is getting on, and ends."""

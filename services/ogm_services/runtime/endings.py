@@ -1,4 +1,4 @@
-"""How commands end: 0 done, 1 a failure at run time, 2 bad usage or bad input; why, in one line on stderr."""
+"""Exit codes: 0 done, 1 a failure at run time, 2 bad usage or bad input; why, in one line on stderr."""
 
 import sys
 from typing import Any, NoReturn

@@ -1,4 +1,4 @@
-"""Where numba keeps compiled kernels: settled before anything loads numba.
+"""Cache of compiled kernels, the folder in which numba keeps them: settled before anything loads numba.
 
 Left alone, numba keeps them beside their sources and looks only at the file that a kernel stands in, not at
 those that it calls or takes constants from: once one of these has changed, it would go on using old machine
@@ -30,6 +30,8 @@ import ogm_core
 from ogm_core.errors import BadSetting, OgmError
 
 VARIABLE = "NUMBA_CACHE_DIR"
+LOCATOR_VARIABLE = "NUMBA_CACHE_LOCATOR_CLASSES"
+_LOCATOR = "ogm_services.runtime.kernel_files.KernelFiles"
 KEPT = 30 * 24 * 3600.0
 """Kernels of other sources are removed if nobody has used them for so long, s."""
 _CORE = Path(ogm_core.__file__).parent
@@ -138,15 +140,15 @@ def _temporary() -> Iterator[Path]:
 
 @contextmanager
 def _numba_uses(folder: Path) -> Iterator[None]:
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = str(folder)
+    ours = {VARIABLE: str(folder), LOCATOR_VARIABLE: _LOCATOR}
+    before = {name: os.environ[name] for name in ours if name in os.environ}
+    os.environ.update(ours)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[VARIABLE]
-        else:
-            os.environ[VARIABLE] = before
+        for name in ours:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _of_these_sources() -> str:

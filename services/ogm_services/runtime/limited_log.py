@@ -1,4 +1,4 @@
-"""Warnings about messages, at a limited rate: a robot that sends nonsense must not fill the disk."""
+"""Rate-limited log of warnings about messages: a robot that sends nonsense must not fill the disk."""
 
 import logging
 import time

@@ -1,4 +1,4 @@
-"""How a command loads what it needs."""
+"""Lazy imports of a command: how it loads what it needs."""
 
 import gc
 import sys

@@ -1,4 +1,4 @@
-"""How signals end what runs, and when they have to wait."""
+"""Signal handling: how signals end what runs, and when they have to wait."""
 
 import logging
 import signal

@@ -1,4 +1,4 @@
-"""What is printed to a terminal that is gone: no reason to lose the map."""
+"""Output to a terminal that may be gone: no reason to lose the map."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""Where settings come from: defaults < preset < file (YAML) < environment `OGM_<SECTION>__<KEY>` < flags.
+"""Sources of the settings: defaults < preset < file (YAML) < environment `OGM_<SECTION>__<KEY>` < flags.
 
 A preset replaces the defaults, whichever source names it; every other setting that a source gives overrides
 it.

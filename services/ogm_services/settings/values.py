@@ -1,4 +1,4 @@
-"""What a setting's value can be, how it is written as text, and the presets."""
+"""Values of settings: what they can be, how they are written as text, and the presets."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal

@@ -1,1 +1,1 @@
-"""From a message's arrival to the worker that handles it."""
+"""Intake: from a message's arrival to the worker that handles it."""

@@ -1,4 +1,4 @@
-"""The bounded queue between Zenoh's callback and the worker."""
+"""Bounded queue of messages between Zenoh's callback and the worker."""
 
 import threading
 from collections import deque

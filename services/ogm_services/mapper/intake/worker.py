@@ -1,4 +1,4 @@
-"""The one thread that decodes messages and writes the map."""
+"""Worker: the one thread that decodes messages and writes the map."""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""The mapper's one subscriber: it counts messages and puts them into the queue."""
+"""Zenoh subscriber of the mapper, its only one: it counts messages and puts them into the queue."""
 
 import logging
 import time

@@ -1,1 +1,1 @@
-"""The map that is written while it is read, and what is watched of it."""
+"""Live map: written while it is read, and watched."""

@@ -1,4 +1,4 @@
-"""How a map settles: its entropy and its known area over time, in a bounded number of samples."""
+"""Time series of how a map settles: its entropy and its known area, in a bounded number of samples."""
 
 from typing import Any, NamedTuple
 

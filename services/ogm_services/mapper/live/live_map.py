@@ -1,4 +1,4 @@
-"""The map while it is written: one writer, and any number of readers with copies."""
+"""Live map, the map while it is written: one writer, and any number of readers with copies."""
 
 import math
 import threading

@@ -1,4 +1,4 @@
-"""What the mapper watches by itself, whether anybody asks or not: how it grows and settles, what is true."""
+"""Monitor: watches, whether anybody asks or not, how the map grows and settles, and what is true."""
 
 import logging
 import threading
@@ -32,7 +32,7 @@ class Monitor:
 
     def start(self, ask_truth: Callable[[], list[bytes]]) -> None:
         """Begin to look; `ask_truth` gets what simulators say their world is, and may take a while."""
-        self._thread = threading.Thread(target=self._run, args=(ask_truth,), name="ogm-observer")
+        self._thread = threading.Thread(target=self._run, args=(ask_truth,), name="ogm-monitor")
         self._thread.start()
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""The map that a mapper starts with: empty, or filled from a ROS map file."""
+"""Initial map of a mapper: empty, or filled from a ROS map file."""
 
 from dataclasses import replace
 from pathlib import Path

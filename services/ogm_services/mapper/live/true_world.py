@@ -1,4 +1,4 @@
-"""The true world of a map, as far as simulators tell it."""
+"""Ground truth of a map, as far as simulators tell it."""
 
 import logging
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Kernels, loaded or compiled before anybody needs them: first what scans need, then the rest."""
+"""Warm-up of the kernels, before anybody needs them: first what scans need, then the rest."""
 
 import logging
 import math

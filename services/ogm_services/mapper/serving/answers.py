@@ -1,4 +1,4 @@
-"""What the mapper answers, over HTTP and Zenoh alike: a name and its parameters in, bytes out."""
+"""Answers of the mapper, over HTTP and Zenoh alike: a name and its parameters in, bytes out."""
 
 import json
 import math
@@ -75,12 +75,12 @@ class Answers:
         map_name: str,
         live_map: LiveMap,
         receipts: Receipts,
-        observer: Monitor,
+        monitor: Monitor,
         ready: Callable[[], bool] = lambda: True,
     ) -> None:
         self._map_name = map_name
         self._map = live_map
-        self._observer = observer
+        self._monitor = monitor
         self._receipts = receipts
         self._started = time.monotonic()
         self._cache = _AnswerCache(self.now)
@@ -175,9 +175,9 @@ class Answers:
         `fresh` ones that are not ready `within` so many seconds are None, and named in the list `missing`.
         """
         self.check_ready()
-        world = self._observer.truth.world
+        world = self._monitor.truth.world
         figures = self._map.fresh_quality(world, within) if fresh else self._map.quality(world)
-        series = self._observer.series.columns(self._map.now.epoch)
+        series = self._monitor.series.columns(self._map.now.epoch)
         return {**figures, "series": series}
 
     def current_status(self) -> Status:

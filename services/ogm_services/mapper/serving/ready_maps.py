@@ -1,4 +1,4 @@
-"""Maps over HTTP that have not changed since they were asked for last."""
+"""HTTP cache validation: maps that have not changed since they were asked for last."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Writes over HTTP are for programs and for the mapper's own page: other pages in a browser are refused."""
+"""Same-origin check of writes over HTTP: programs and the mapper's own page may, other pages may not."""
 
 from fastapi import Response
 from starlette.datastructures import Headers
