@@ -128,7 +128,7 @@ def test_what_is_too_long_for_its_kind_is_counted_and_not_even_copied(
     assert (status["scans"]["integrated"], status["scans"]["dropped"]["malformed"]) == (1, 2)
     assert status["poses"] == {"received": 3, "malformed": 2, "late": 0}
     assert status["robots"]["r"]["pose"][0] == 1.5
-    assert [len(item.payload) for item in put] == [8096, 1024]
+    assert [len(item.payload) for item in put] == [1024, 8096]
     complaints = {record.getMessage() for record in no_errors.records if record.levelno == logging.WARNING}
     assert complaints == {
         "r/s: payload: at most 8096 bytes are needed, got 8097",
