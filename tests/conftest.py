@@ -23,6 +23,11 @@ def pytest_configure(config):
     config.add_cleanup(cache.close)
 
 
+def pytest_xdist_auto_num_workers():
+    """Processes of `pytest -n auto`: three for two cores, for many tests wait for processes that they start."""
+    return -(-3 * len(os.sched_getaffinity(0)) // 2)
+
+
 @pytest.fixture
 def endpoint():
     """A Zenoh endpoint on loopback that nobody listens on."""

@@ -30,7 +30,7 @@ _PROBE = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Which cells a scan will constants. The cells in `arrays` are counted from `base`."""
+    """Which cells a scan will update. The cells in `arrays` are counted from `base`."""
 
     kernels: ModuleType
     """Its `extent`, `touch_tiles` and `update_cells` understand `arrays`."""

@@ -71,6 +71,10 @@ class TileStore:
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.tiles_used = 0
+        stored = self.planes.values()
+        self.tile_bytes = sum(plane.tile_cells * plane.cells.itemsize for plane in stored)
+        """Memory of one tile, all planes together."""
+        self._table_bytes = self.touched.nbytes + sum(plane.column.nbytes for plane in stored)
 
     def _reserve(self, plane: Plane, shape: tuple[int, int]) -> StoredPlane:
         width = TILE * plane.side
@@ -85,15 +89,9 @@ class TileStore:
         )
 
     @property
-    def tile_bytes(self) -> int:
-        """Memory of one tile, all planes together."""
-        return sum(plane.tile_cells * plane.cells.itemsize for plane in self.planes.values())
-
-    @property
     def nbytes(self) -> int:
         """Memory of the tiles that were ever written, and of the tables."""
-        tables = sum(plane.column.nbytes for plane in self.planes.values()) + self.touched.nbytes
-        return self.tiles_used * self.tile_bytes + tables
+        return self.tiles_used * self.tile_bytes + self._table_bytes
 
     def admitting(
         self, updated: CellRect, new_tiles: Callable[["TileStore"], int], max_bytes: int
