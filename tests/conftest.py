@@ -24,7 +24,7 @@ def pytest_configure(config):
 
 
 def pytest_xdist_auto_num_workers():
-    """Processes of `pytest -n auto`: three for two cores, for many tests wait for processes that they start."""
+    """Processes of `pytest -n auto`, three for two cores: many tests wait for processes that they start."""
     return -(-3 * len(os.sched_getaffinity(0)) // 2)
 
 
