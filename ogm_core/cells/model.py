@@ -69,7 +69,7 @@ class CellEvidence(Protocol):
 
 
 class CellModel(ABC):
-    """What every model gives; a new one has to say its planes, its update and its probabilities."""
+    """What every model gives; a new one says its planes, its update, its probabilities and its blocks."""
 
     sensor_models: frozenset[str] = frozenset({"beam", "sector"})
     """Whose evidence it takes."""
@@ -133,14 +133,13 @@ class CellModel(ABC):
         values = np.concatenate([np.empty(0), *(p[known] for p, known in parts)])
         return np.unique(values, return_counts=True)
 
+    @abstractmethod
     def pooled(self, source: CellSource, factor: int) -> "tuple[CellModel, Planes]":
         """Square blocks of `factor` x `factor` cells in place of cells, and the model that reads them.
 
         A block is its likeliest cell if that one counts as occupied, else its least likely known cell.
+        `published.pooled_probabilities` does that for any model; where cells compare, it is cheaper.
         """
-        from ogm_core.cells.published import pooled_probabilities
-
-        return pooled_probabilities(self, source, factor)
 
 
 def row_bands(shape: tuple[int, ...]) -> Iterator[slice]:

@@ -32,6 +32,10 @@ class PublishedCells(CellModel):
         """Just what is kept."""
         return planes["probability"], planes["known"] != 0
 
+    def pooled(self, source: CellSource, factor: int) -> tuple[CellModel, Planes]:
+        """Blocks of what is kept, kept in the same way."""
+        return pooled_probabilities(self, source, factor)
+
 
 def pooled_probabilities(model: CellModel, source: CellSource, factor: int) -> tuple[CellModel, Planes]:
     """Blocks of `factor` x `factor` cells: the likeliest if that is occupied, else the least likely known."""

@@ -14,6 +14,7 @@ from PIL import Image
 import naive
 from ogm_core.cells.classes import OCCUPIED, trinary
 from ogm_core.cells.model import CellModel, Plane
+from ogm_core.cells.published import pooled_probabilities
 from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode_png
 from ogm_core.grid import OccupancyGrid
@@ -69,6 +70,8 @@ class Counts(CellModel):
         hits = ended[1:-1, 1:-1]
         p = (hits + 0.1 * around + 0.1) / (hits + passed[1:-1, 1:-1] + 0.1 * around + 0.2)
         return np.where(known, p, 0.5), known
+
+    pooled = pooled_probabilities
 
 
 class Twin:
