@@ -52,9 +52,9 @@ class Fleet:
         self._tick = 0
         self.receipts = Receipts()
         self._queue = ScanQueue(robots * self._ticks)
-        mapper = ScanPlacer(sink, self.receipts, lambda *_: None)
+        placer = ScanPlacer(sink, self.receipts, lambda *_: None)
         self._worker = Worker(
-            self._queue, mapper, self.receipts, max_beams=DEFAULT_MAX_BEAMS, pose_wait=math.inf
+            self._queue, placer, self.receipts, max_beams=DEFAULT_MAX_BEAMS, pose_wait=math.inf
         )
 
     def __enter__(self) -> "Fleet":

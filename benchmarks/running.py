@@ -3,7 +3,6 @@
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -85,13 +84,6 @@ def line_after(process: subprocess.Popen[bytes], beginning: str) -> str:
                 break
             line = b""
     raise RuntimeError(f"{process.args!r} did not print {beginning!r} within {STARTED:g} s")
-
-
-def free_port() -> int:
-    """A TCP port of loopback that was free just now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def wait_for_revision(client: MapClient, revision: int, pause: float = 0.002) -> None:

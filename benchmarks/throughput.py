@@ -97,7 +97,7 @@ def send(session: zenoh.Session, client: MapClient, payloads: list[bytes], run: 
 def handled(client: MapClient, run: str) -> int:
     """How many scans of a run are in the map, or were dropped; one less while the newest is in hand."""
     sources = [robot["sources"]["laser"] for robot in client.status()["robots"].values()]
-    books = next((books for books in sources if books["run"] == run), None)
-    if books is None or books["last_seq"] is None:
+    source = next((source for source in sources if source["run"] == run), None)
+    if source is None or source["last_seq"] is None:
         return 0
-    return int(books["last_seq"] + (books["pending"] == 0))
+    return int(source["last_seq"] + (source["pending"] == 0))

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Literal
 
 from ogm_core.cells.log_odds import LogOdds
-from ogm_core.cells.model import CellModel
+from ogm_core.cells.model import MAX_MARGIN, CellModel
 from ogm_core.errors import BadSetting
 from ogm_core.lattice import CellRect, Lattice, Region, bounded
 
@@ -53,9 +53,18 @@ class GridSettings:
             raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
         if self.clear_range is not None and not self.clear_range >= 0.0:
             raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
+        name, margin = type(self.cell_model).__name__, self.cell_model.margin
+        if not 0 <= margin <= MAX_MARGIN:
+            raise BadSetting(
+                f"cell_model: {name} looks {margin} cells around a cell, {MAX_MARGIN} at most can be"
+            )
+        if any(plane.side not in {1, 2} for plane in self.cell_model.planes):
+            raise BadSetting(
+                f"cell_model: {name} has a plane of other than 1 or 2 numbers along a cell's side"
+            )
         if self.sensor_model not in self.cell_model.sensor_models:
             raise BadSetting(
-                f"sensor_model: cell model {type(self.cell_model).__name__} takes "
+                f"sensor_model: cell model {name} takes "
                 f"{' or '.join(sorted(self.cell_model.sensor_models))}, not {self.sensor_model}"
             )
         rect = self.bounds_rect

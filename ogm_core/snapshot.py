@@ -148,7 +148,8 @@ class MapSnapshot:
         if factor <= 1:
             return self
         model, planes = self.model.pooled(self.stored, factor)
-        return replace(self, stored=CellArrays(planes), model=model, factor=self.factor * factor)
+        stored = CellArrays(planes, {plane.name: plane.side for plane in model.planes})
+        return replace(self, stored=stored, model=model, factor=self.factor * factor)
 
     def _extent(self) -> Region:
         ix, iy, width, height = self.rect

@@ -42,8 +42,10 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         part.unlink(missing_ok=True)
 
 
-def write_files(contents: Mapping[Path, bytes]) -> None:
+def write_files(contents: Mapping[Path, bytes], *, without: Path | None = None) -> None:
     """Write files that belong together: all of them are on disk before the first, in order, takes its name.
+
+    `without` is one that there is no more afterwards.
 
     Raises:
         OSError: one of them cannot be written.
@@ -53,6 +55,8 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
             file = renamed_last_to_first.enter_context(whole_file(path))
             file.write(content)
             _flush(file)
+        if without is not None:
+            without.unlink(missing_ok=True)
 
 
 def check_file(path: Path) -> None:
@@ -63,7 +67,9 @@ def check_file(path: Path) -> None:
     """
     target = _replaced(path)
     if target is None:
-        os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
+        if not os.access(path, os.W_OK):  # to open a pipe and close it would tell its reader that this is all
+            number = errno.EACCES if path.exists() else errno.ENOENT
+            raise OSError(number, os.strerror(number), str(path))
     else:
         tempfile.TemporaryFile(dir=target.parent).close()
 
@@ -74,7 +80,10 @@ def _replaced(path: Path) -> Path | None:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if _STREAMS.fullmatch(str(path.absolute())) or (path.exists() and not path.is_file()):
         return None
-    return path.resolve()
+    try:
+        return path.resolve()
+    except RuntimeError as error:  # Python 3.11 and 3.12 say so of links that lead in a circle
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path)) from error
 
 
 def _flush(file: BinaryIO) -> None:

@@ -1,4 +1,4 @@
-"""A mapper whose calls to its sink are recorded, and whose books are checked at every message."""
+"""A scan placer whose calls to its sink are recorded, and whose receipts are checked at every message."""
 
 import logging
 
@@ -31,19 +31,19 @@ class Sink:
 
 
 class Desk:
-    """A mapper with a recording sink, and its books, checked at every message. Stamps count ms from T0."""
+    """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
     def __init__(self, sink=None):
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.complaints = LimitedLog(logging.getLogger(__name__))
-        self.mapper = ScanPlacer(self.sink, self.receipts, self.complaints.warning)
+        self.placer = ScanPlacer(self.sink, self.receipts, self.complaints.warning)
         self.received = 0
 
     def pose(self, ms, pose=None, *, run="", robot="r"):
         pose = Pose(ms / 1000, 0.0, 0.0) if pose is None else pose
         self.receipts.pose_received(robot)
-        self.mapper.add_pose(robot, PoseStamped(T0 + round(ms * MS), pose, run=run))
+        self.placer.add_pose(robot, PoseStamped(T0 + round(ms * MS), pose, run=run))
         self.check()
         return self
 
@@ -53,7 +53,7 @@ class Desk:
         scan = Scan(T0 + round(ms * MS), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
         self.received += 1
         self.receipts.scan_received(robot, sensor)
-        self.mapper.add_scan(robot, sensor, scan)
+        self.placer.add_scan(robot, sensor, scan)
         self.check()
         return self
 
@@ -63,7 +63,7 @@ class Desk:
         assert scans.received == self.received
         assert scans.integrated == len(self.sink.placed)
         assert scans.pending == self.received - len(self.sink.placed) - sum(scans.dropped.values()) >= 0
-        assert scans.pending == sum(len(robot.waiting) for robot in self.mapper._robots.values())
+        assert scans.pending == sum(len(robot.waiting) for robot in self.placer._robots.values())
 
     @property
     def order(self):

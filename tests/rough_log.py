@@ -1,4 +1,4 @@
-"""A recording of several robots with everything in it that a mapper has to cope with (DESIGN.md, section 4).
+"""A recording of several robots with everything in it that a mapper has to cope with (docs/protocol.md).
 
 The robots drive round the lab for 6 s. Poses come every 20 ms, scans every 50 ms at other times, so that
 nearly every scan's pose is interpolated, and each scan comes before the pose that makes it ready.

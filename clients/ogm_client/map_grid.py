@@ -63,7 +63,9 @@ class MapGrid:
                 f"snapshot: cells are needed, got blocks of {snapshot.factor} x {snapshot.factor}"
             )
         place = snapshot.lattice.resolution, snapshot.lattice.anchor, snapshot.offset
-        log_odds = snapshot.model.arrays(snapshot.stored)[PLANE]
+        log_odds = snapshot.model.arrays(snapshot.stored).get(PLANE)
+        if log_odds is None:  # a model that keeps something else
+            log_odds = np.where(snapshot.published()[1], snapshot.log_odds(), np.nan)
         return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
 
     @property

@@ -57,15 +57,31 @@ class CellSource(Protocol):
 class CellEvidence(Protocol):
     """What a placed scan says about which cells (ogm_core.sensor_models.evidence)."""
 
-    def update_cells(
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Its beams or spans, for models that read them by themselves."""
+
+    def touch(
         self,
         store: Any,  # noqa: ANN401 - a TileStore, which this room does not know
-        window: tuple[int, int, int, int],
+        window: Any,  # noqa: ANN401 - a CellRect
+        revision: int,
+    ) -> None:
+        """Mark every tile of whose cells the scan speaks; who calls `update_cells` need not."""
+
+    def update_cells(
+        self,
+        store: Any,  # noqa: ANN401 - a TileStore
+        window: Any,  # noqa: ANN401 - a CellRect
         revision: int,
         plane: str,
         constants: tuple[Any, ...],
     ) -> int:
-        """Let `cells.updates` change every cell that the scan speaks of; return the number of updates."""
+        """Let `cells.updates` change every cell that the scan speaks of; return the number of updates.
+
+        The plane's dtype chooses the update: int16 and float64 are those of `log_odds`, and a model with
+        another update needs another dtype there. The plane has one number a cell.
+        """
 
 
 class CellModel(ABC):
@@ -89,7 +105,7 @@ class CellModel(ABC):
     @abstractmethod
     def update(
         self,
-        evidence: Any,  # noqa: ANN401 - an Evidence
+        evidence: CellEvidence,
         store: Any,  # noqa: ANN401 - a TileStore
         window: tuple[int, int, int, int],
         revision: int,

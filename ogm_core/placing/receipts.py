@@ -3,22 +3,13 @@
 import threading
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
 from ogm_core.types import Pose
 
 DropReason = Literal["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"]
-DROP_REASONS: tuple[DropReason, ...] = (
-    "malformed",
-    "no_pose",
-    "duplicate",
-    "stale",
-    "overload",
-    "limit",
-    "outside",
-    "failed",
-)
+DROP_REASONS: tuple[DropReason, ...] = get_args(DropReason)
 
 
 @dataclass(slots=True)

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models.beams import HIT, NO_RETURN, SKIPPED, BeamModel, classify
+from ogm_core.sensor_models.beams import HIT, KIND, NO_RETURN, SKIPPED, BeamModel, classify
 from ogm_core.sensor_models.bresenham import FRACTION_BITS, clipped_line, counted_from
 
 BELIEF_FREE, BELIEF_UNDECIDED, BELIEF_OCCUPIED = 1, 2, 3
@@ -18,7 +18,7 @@ FOUND_WALL, FOUND_NOTHING, FOUND_UNKNOWN = 0, 1, 2
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def agreement(
-    beams: NDArray[np.int64], window: CellRect, beliefs: NDArray[np.uint8]
+    ends: NDArray[np.int64], window: CellRect, beliefs: NDArray[np.uint8]
 ) -> tuple[int, int, int, int]:
     """Hit end cells in the map and those believed occupied; traversed cells and those believed free.
 
@@ -27,17 +27,17 @@ def agreement(
     Each beam counts its cells anew.
     """
     hits = occupied = passed = free = 0
-    for b in range(beams.shape[1]):
-        if beams[2, b] == SKIPPED:
+    for b in range(ends.shape[1]):
+        if ends[KIND, b] == SKIPPED:
             continue
-        i0, j0, i1, j1 = counted_from(window, beams, b)
+        i0, j0, i1, j1 = counted_from(window, ends, b)
         along_i, si, sj, major, bias, step, first, last = clipped_line(
             i0, j0, i1, j1, window.width, window.height
         )
         for k in range(first, last + 1):
             aside = (bias + k * step) >> FRACTION_BITS
             i, j = (i0 + si * k, j0 + sj * aside) if along_i else (i0 + si * aside, j0 + sj * k)
-            if k == major and beams[2, b] == HIT:
+            if k == major and ends[KIND, b] == HIT:
                 hits += 1
                 occupied += beliefs[j, i] == BELIEF_OCCUPIED
             else:

@@ -240,7 +240,7 @@ def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Latti
 def drop_outside(ends: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
     """Skip the beams whose start or end cell lies outside a rectangle of cells.
 
-    Changes the kinds in `beams`, shape (5, N). Returns how many counted before, and how many were dropped.
+    Changes the kinds in `ends`, shape (5, N). Returns how many counted before, and how many were dropped.
     """
     counted = 0
     dropped = 0

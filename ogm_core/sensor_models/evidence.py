@@ -64,8 +64,13 @@ class Evidence:
         """Let `cells.updates` change the cells of a plane that lie in the window, and mark their tiles.
 
         Which of its updates that is, the plane's dtype says; `constants` are theirs. Returns how many.
+
+        Raises:
+            ValueError: the plane is finer than the cells, which these kernels count.
         """
         stored = store.planes[plane]
+        if stored.side != 1:
+            raise ValueError(f"plane {plane}: {stored.side} x {stored.side} numbers a cell, 1 is needed")
         updates, fresh = self.kernels.update_cells(
             *self.arrays, tuple(window), store.touched, revision, stored.cells, stored.column, constants
         )

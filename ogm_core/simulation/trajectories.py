@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
 
 from ogm_core.errors import BadWorld
 from ogm_core.types import Pose
@@ -17,17 +16,6 @@ MAX_TURN = 0.2
 _WHOLE = 1e-9
 
 Point = tuple[float, float]
-
-
-class Trajectory(Protocol):
-    """A closed path of `count` poses of a robot's base, in the world frame."""
-
-    @property
-    def count(self) -> int:
-        """How many poses one round has."""
-
-    def pose(self, i: int) -> Pose:
-        """Pose number `i`; pose `count` is pose 0 again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@
     | 0 | 4 | 0 |         | 0 | 4 | 0 |         that was never written.
     +---+---+---+         +---+---+---+
 
-A block of which less than half is still in use is given up, and what is left of it copied with the rest: so
-all blocks of a copy take twice the tiles' memory at most.
+A block of which less than half is still in use is given up, and what is left of it copied with the rest; and
+the memory of a block is at most half as large again as its tiles: a copy takes three times its tiles at most.
 """
 
 from collections.abc import Mapping
@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE, TileStore
+
+_FEW = 32
+"""So few tiles are copied into new memory: to make room for them beforehand gains nothing."""
 
 Tiles = Mapping[str, NDArray[Any]]
 """Stored cells of n tiles by plane: shape (n, cells of a tile), row after row."""
@@ -84,8 +87,10 @@ def room_for(store: TileStore, before: TileCopies | None) -> Tiles:
     may write the store meanwhile, since the number is a guess.
     """
     stale = int(np.count_nonzero(_to_copy(store, before)[2]))
+    if stale <= _FEW:
+        return {}
     return {
-        name: np.full((stale + stale // 8 + 16, plane.tile_cells), 0, plane.cells.dtype)
+        name: np.full((stale + stale // 8 + 8, plane.tile_cells), 0, plane.cells.dtype)
         for name, plane in store.planes.items()
     }
 
@@ -96,7 +101,7 @@ def copy_tiles(
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
 
     `before` must be of the same store, or of one that it was grown from. The copies go into `room`, if that
-    is large enough.
+    is large enough, and not much too large: a block keeps all of it.
     """
     numbers, blocks, stale = _to_copy(store, before)
     first = 1 if before is None else before.next_number
@@ -104,7 +109,7 @@ def copy_tiles(
     planes = {}
     for name, plane in store.planes.items():
         given = None if room is None else room.get(name)
-        if given is None or len(given) < len(which) or given.dtype != plane.cells.dtype:
+        if given is None or not _fits(given, len(which), plane.cells.dtype):
             given = np.empty((len(which), plane.tile_cells), plane.cells.dtype)
         tiles = given[: len(which)]
         np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
@@ -116,6 +121,10 @@ def copy_tiles(
         blocks = (*blocks, Block(first, planes, len(which)))
     lineage = object() if before is None else before.lineage
     return TileCopies(store.rect, numbers, blocks, revision, first + len(which), lineage)
+
+
+def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
+    return room.dtype == dtype and tiles <= len(room) <= tiles + tiles // 2
 
 
 def _to_copy(

@@ -12,7 +12,6 @@ DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 """Where a mapper listens on Zenoh, and where everyone else looks for it, unless told otherwise."""
 
 Service = Literal["map", "cell", "quality", "status", "reset"]
-SERVICES: tuple[Service, ...] = ("map", "cell", "quality", "status", "reset")
 
 
 def check_name(value: str, what: str) -> str:

@@ -5,6 +5,7 @@ the side that they came from. Sums do not depend on order, and its probability l
 """
 
 import io
+import json
 import math
 
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 from PIL import Image
 
 import naive
-from ogm_core.cells.classes import OCCUPIED, trinary
+from ogm_client import MapGrid
+from ogm_core.cells.classes import OCCUPIED, probability_grey, trinary
 from ogm_core.cells.model import CellModel, Plane
 from ogm_core.cells.published import pooled_probabilities
 from ogm_core.errors import BadSetting, LimitReached
@@ -20,8 +22,11 @@ from ogm_core.files.map_files import encode_json, encode_npz, encode_pgm, encode
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
+from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.quality.figures import Consistency, quality_figures
+from ogm_core.quality.truth import occupied_cells, truth_figures
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED
+from ogm_core.simulation.worlds import lab
 from ogm_core.tiles import store as store_module
 from ogm_core.types import PlacedScan, Pose, Scan
 
@@ -93,6 +98,11 @@ class Twin:
                 else:
                     self.passed[cell] = self.passed.get(cell, 0) + 1
 
+    def rect(self):
+        cells = {(i // 2, j // 2) for i, j in self.ended} | set(self.passed)
+        (west, east), (south, north) = ((min(part), max(part)) for part in zip(*cells, strict=True))
+        return CellRect(west, south, east - west + 1, north - south + 1)
+
     def planes(self, rect):
         passed = np.zeros((rect.height, rect.width), np.uint16)
         ended = np.zeros((2 * rect.height, 2 * rect.width), np.uint32)
@@ -138,12 +148,16 @@ BOUNDS = Region(-5.0, -4.0, 12.3, 9.7)
 EVERYWHERE = pytest.mark.parametrize("changes", [{}, {"bounds": BOUNDS}], ids=["unbounded", "bounded"])
 
 
+def pixels(picture, grid):
+    return np.asarray(Image.open(io.BytesIO(picture.png(grid.snapshot()))))
+
+
 @EVERYWHERE
 def test_planes_and_probabilities_are_the_twins(changes):
     grid, twin = maps(**changes)
     snapshot = grid.snapshot()
-    rect = grid.rect
-    assert rect == (CellRect(0, 0, 173, 137) if changes else snapshot.rect)
+    rect = CellRect(0, 0, 173, 137) if changes else twin.rect()
+    assert grid.rect == snapshot.rect == rect
     stored, expected = snapshot.stored.planes(), twin.planes(rect)
     for name in (PASSED, ENDED):
         assert stored[name].dtype == expected[name].dtype
@@ -216,7 +230,50 @@ def test_pictures_and_files_show_it(changes):
         for name, cells in snapshot.stored.planes().items():
             assert np.array_equal(file[name], cells)
         assert file["offset"].tolist() == list(snapshot.offset)
-    assert encode_json(snapshot, "m").count(b" -1,") >= np.count_nonzero(~known) - 1
+    document = json.loads(encode_json(snapshot, "m"))
+    assert np.array_equal(np.reshape(document["data"], known.shape) == -1, ~known)
+
+
+@EVERYWHERE
+def test_the_live_picture_follows_it(changes):
+    grid, _ = maps(**changes)
+    picture = MapPicture(probability_grey)
+    for scan, pose in list(scans())[::-1]:
+        grid.integrate(scan, pose)
+        assert np.array_equal(pixels(picture, grid), grid.snapshot().encode(probability_grey)[::-1])
+
+
+def test_the_live_picture_is_drawn_again_where_only_the_neighbours_have_changed():
+    """Probabilities look one cell around: those of row 63, the last of its tiles, change with row 64."""
+    grid = OccupancyGrid(GridSettings(resolution=0.1, cell_model=Counts()), "e")
+    picture = MapPicture(probability_grey)
+    along = Scan(0, 0.0, 0.1, 0.1, 8.0, np.full(1, 3.0, np.float32))
+    for row in (10, 63):
+        grid.integrate(along, Pose(1.05, 0.05 + 0.1 * row, 0.0))
+    before = pixels(picture, grid)
+    far, last = dict(picture._strips)[0], before[0, -1]
+    grid.integrate(along, Pose(1.05, 0.05 + 0.1 * 64, 0.0))
+    after = pixels(picture, grid)
+    assert after[1, -1] != last
+    assert np.array_equal(after, grid.snapshot().encode(probability_grey)[::-1])
+    assert picture._strips[0] is not far
+
+
+def test_a_client_takes_it_as_log_odds():
+    snapshot = maps()[0].snapshot()
+    p, known = snapshot.published()
+    grid = MapGrid.from_snapshot(snapshot)
+    assert np.array_equal(grid.known, known)
+    np.testing.assert_allclose(grid.probability[known], p[known], atol=1e-12)
+    assert (grid.origin, grid.epoch, grid.revision) == (snapshot.origin, "e", SCANS)
+
+
+def test_the_truth_judges_it():
+    grid, _ = maps()
+    snapshot = grid.snapshot()
+    p, known = snapshot.published()
+    right = (p > 0.5) == occupied_cells(lab(), snapshot.lattice, snapshot.rect)
+    assert truth_figures(snapshot, lab())["accuracy"] == pytest.approx(right[known].mean())
 
 
 def test_shrunk_occupied_wins_then_free():

@@ -1,9 +1,11 @@
 """Keys and the names that may stand in them."""
 
+from typing import get_args
+
 import pytest
 
 from ogm_core.errors import BadSetting
-from ogm_core.wire.keys import SERVICES, MapKeys, Source, check_name
+from ogm_core.wire.keys import MapKeys, Service, Source, check_name
 
 KEYS = MapKeys("lab")
 BAD_NAMES = ["", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]
@@ -34,7 +36,7 @@ def test_keys_are_those_of_the_contract():
     assert KEYS.scan("r1", "front") == "ogm/v1/lab/robots/r1/scan/front"
     assert KEYS.alive("mapper", "id1", "run1") == "ogm/v1/lab/alive/mapper/id1/run1"
     assert KEYS.truth == "ogm/v1/lab/truth"
-    assert [KEYS.service(name) for name in SERVICES] == [
+    assert [KEYS.service(name) for name in get_args(Service)] == [
         f"ogm/v1/lab/{name}" for name in ("map", "cell", "quality", "status", "reset")
     ]
 

@@ -7,7 +7,7 @@ import naive
 from ogm_core.cells.log_odds import PLANE
 from ogm_core.cells.model import Plane
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.copies import copy_tiles
+from ogm_core.tiles.copies import copy_tiles, room_for
 from ogm_core.tiles.store import TILE, TileStore
 from ogm_core.tiles.view import TileView
 
@@ -107,6 +107,18 @@ def test_old_blocks_are_given_up_before_they_take_more_room_than_the_tiles():
             assert 2 * used >= len(block.planes[PLANE])
             assert used == block.used
     assert np.array_equal(cells_of(copies), desk.cells())
+
+
+@pytest.mark.parametrize("written", [1, 5, 40, 200])
+def test_what_was_made_ready_takes_no_more_than_half_again_of_what_is_copied(written):
+    """A copy a scan, as of a robot that drives along a corridor."""
+    desk, copies = Desk(CellRect(0, 0, 64, 64 * 900)), None
+    for k in range(4):
+        desk.write(*((0, 64 * (k * written + i)) for i in range(written)))
+        copies = copy_tiles(desk.store, desk.revision, copies, room_for(desk.store, copies))
+    blocks = [block.planes[PLANE] for block in copies.blocks]
+    held = sum((block if block.base is None else block.base).nbytes for block in blocks)
+    assert 4 * written * 8192 <= held <= 1.5 * 4 * written * 8192
 
 
 def test_nobody_can_write_into_a_copy():

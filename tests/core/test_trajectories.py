@@ -3,7 +3,7 @@ import math
 import pytest
 
 from ogm_core.errors import BadWorld
-from ogm_core.simulation.trajectories import MAX_POSES, MAX_TURN, CirclePath, Trajectory, WaypointPath
+from ogm_core.simulation.trajectories import MAX_POSES, MAX_TURN, CirclePath, WaypointPath
 from ogm_core.types import Pose
 
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0))
@@ -21,7 +21,7 @@ def test_circle_is_the_formula_bit_for_bit(i):
 
 
 @pytest.mark.parametrize("path", [CirclePath(1.0, -2.0, 6.0, 7), WaypointPath(SQUARE, 0.3)])
-def test_goes_round_and_round(path: Trajectory):
+def test_goes_round_and_round(path):
     first = [path.pose(i) for i in range(path.count)]
     assert [path.pose(i) for i in range(5 * path.count, 6 * path.count)] == first
     assert len(set(first)) == path.count

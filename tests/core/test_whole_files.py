@@ -114,6 +114,35 @@ def test_a_fifo_is_written_and_stays_one(tmp_path):
     assert list(tmp_path.iterdir()) == [fifo]
 
 
+def test_a_fifo_that_is_looked_at_has_not_ended_for_its_reader(tmp_path):
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    check_file(fifo)  # nobody reads it yet: whoever writes will wait for that
+    with os.fdopen(os.open(fifo, os.O_RDONLY | os.O_NONBLOCK), "rb") as reader:
+        check_file(fifo)
+        write_files({fifo: b"map"})
+        assert reader.read() == b"map"
+
+
+def test_links_in_a_circle_are_told_as_what_they_are(tmp_path):
+    (tmp_path / "a").symlink_to(tmp_path / "a")
+    for refused in (lambda: check_file(tmp_path / "a"), lambda: write_files({tmp_path / "a": b""})):
+        with pytest.raises(OSError, match="Too many levels of symbolic links"):
+            refused()
+
+
+def test_a_file_goes_only_when_the_others_are_on_disk(tmp_path):
+    (tmp_path / "figures").write_bytes(b"of before")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(IsADirectoryError):
+        write_files({tmp_path / "a": b"1", tmp_path / "b": b"2"}, without=tmp_path / "figures")
+    assert (tmp_path / "figures").read_bytes() == b"of before"
+    write_files({tmp_path / "a": b"1"}, without=tmp_path / "figures")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
+    write_files({tmp_path / "a": b"2"}, without=tmp_path / "figures")
+    assert (tmp_path / "a").read_bytes() == b"2"
+
+
 def test_devices_stay_what_they_are(tmp_path):
     for path in (Path("/dev/null"), tmp_path / "nothing"):
         if not path.exists():

@@ -137,6 +137,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(ogm, lab_recording):
         assert text in complaint
     unwritable = ogm.call("build", lab_recording, "--out", "file/built")
     assert "--out file/built: cannot be written" in unwritable.complaint(2)
+    assert ogm.call("build", "cut.jsonl.gz", "--out", "file/built").complaint(2) == unwritable.complaint(2)
     assert not (ogm.folder / "built").exists()
 
 

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import msgpack
 import numpy as np
@@ -16,7 +17,7 @@ import typer
 
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.types import IDENTITY, PoseStamped, Scan
-from ogm_core.wire.keys import SERVICES, MapKeys
+from ogm_core.wire.keys import MapKeys, Service
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.cli import app
 from ogm_services.runtime import endings
@@ -74,7 +75,7 @@ def test_table_of_routes(ogm):
 
 def test_table_of_keys():
     keys = MapKeys("M")
-    names = {f"{keys.root}/{name}": "get" for name in SERVICES}
+    names = {f"{keys.root}/{name}": "get" for name in get_args(Service)}
     names |= {
         keys.truth: "get",
         keys.pose("R"): "put",

@@ -19,7 +19,7 @@ from ogm_core.simulation.trajectories import CirclePath
 from ogm_core.simulation.worlds import World, lab
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import Pose, Scan
-from ogm_services.results.driven_paths import Trail
+from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure import OBSTACLES, ROBOTS, UNKNOWN, describe, draw_map, encode_figure
 
 NAN = math.nan
@@ -49,18 +49,18 @@ def world_of(circles=(), walls=()):
     )
 
 
-def trail_of(*points):
-    trail = Trail()
+def path_of(*points):
+    path = DrivenPath()
     for x, y in points:
-        trail.add(Scan(0, 0.0, 0.1, 0.0, 9.0, np.ones(1, np.float32)), Pose(x, y, 0.0))
-    return trail
+        path.add(Scan(0, 0.0, 0.1, 0.0, 9.0, np.ones(1, np.float32)), Pose(x, y, 0.0))
+    return path
 
 
 class Drawn:
     """A drawn map: its figure, its axes, and the pixels of its PNG."""
 
-    def __init__(self, snapshot, name="a.log", description="one map", world=None, trails=None):
-        self.figure = draw_map(snapshot, name, description, world, trails or {})
+    def __init__(self, snapshot, name="a.log", description="one map", world=None, paths=None):
+        self.figure = draw_map(snapshot, name, description, world, paths or {})
         self.main, self.bar = self.figure.axes
         with Image.open(io.BytesIO(encode_figure(self.figure, "png"))) as picture:
             assert picture.format == "PNG"
@@ -136,7 +136,7 @@ def test_axes_in_metres_colour_bar_title_and_legend():
         "walk.jsonl",
         "3 scans",
         lab(),
-        {"robot1": trail_of((1, 1), (2, 2))},
+        {"robot1": path_of((1, 1), (2, 2))},
     )
     assert (drawn.main.get_xlabel(), drawn.main.get_ylabel()) == ("x (m)", "y (m)")
     assert drawn.main.get_aspect() == 1.0
@@ -193,10 +193,10 @@ def test_obstacles_far_away_are_left_out_and_huge_ones_are_no_trouble():
     assert drawn.count(rgb(OBSTACLES)) > 10 * drawn.scale
 
 
-def test_trails_of_robots_have_colours_of_their_own():
+def test_paths_of_robots_have_colours_of_their_own():
     free = snapshot_of(np.full((60, 100), 0.001), resolution=0.1)
-    trails = {"b": trail_of((1, 1), (3, 1), (5, 1)), "a": trail_of((1, 4), (5, 4), (9.9, 4), (9.9, 1))}
-    drawn = Drawn(free, trails=trails)
+    paths = {"b": path_of((1, 1), (3, 1), (5, 1)), "a": path_of((1, 4), (5, 4), (9.9, 4), (9.9, 1))}
+    drawn = Drawn(free, paths=paths)
     for x in np.linspace(1.1, 4.9, 20):
         assert np.abs(np.subtract(drawn.at(x, 1.0), rgb(ROBOTS[0]))).sum() < 60
         assert np.abs(np.subtract(drawn.at(x, 4.0), rgb(ROBOTS[1]))).sum() < 60
@@ -210,7 +210,7 @@ def test_trails_of_robots_have_colours_of_their_own():
 def test_the_legend_names_a_few_of_many_robots_and_fits():
     free = snapshot_of(np.full((60, 100), 0.001), resolution=0.1)
     names = [f"robot_{k}" + "x" * 50 for k in range(20)]
-    drawn = Drawn(free, trails={name: trail_of((k / 3, 1), (k / 3, 4)) for k, name in enumerate(names)})
+    drawn = Drawn(free, paths={name: path_of((k / 3, 1), (k / 3, 4)) for k, name in enumerate(names)})
     written = drawn.legend()
     assert written[1] == "path of robot_0xxxxxxxxxxxxxxxx…"
     assert (len(written), written[-1]) == (8, "and 14 more")
@@ -266,7 +266,7 @@ def test_what_a_map_was_made_with():
 
 
 def drawing():
-    return draw_map(snapshot_of([[0.2, 0.9]]), "a.log", "one map", lab(), {"r": trail_of((0, 0), (1, 0))})
+    return draw_map(snapshot_of([[0.2, 0.9]]), "a.log", "one map", lab(), {"r": path_of((0, 0), (1, 0))})
 
 
 @pytest.mark.parametrize(("form", "head"), [("png", b"\x89PNG\r\n"), ("pdf", b"%PDF-1."), ("svg", b"<?xml")])

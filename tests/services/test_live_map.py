@@ -243,6 +243,30 @@ def test_after_a_reset_no_figure_is_the_old_maps(live, clock):
     assert live.quality()["known_m2"] == 0.0
 
 
+def test_after_a_reset_nobody_gets_what_another_still_counts(live, clock, in_background, monkeypatch):
+    counting, go_on = threading.Event(), threading.Event()
+    live.integrate(scan(), HERE)
+    assert live.info().known_cells == 4
+    count = LiveMap._known_cells_now
+
+    def slow(live):
+        counting.set()
+        assert go_on.wait(10.0)
+        return count(live)
+
+    monkeypatch.setattr(LiveMap, "_known_cells_now", slow)
+    live.integrate(scan(), HERE)
+    clock.now += 60.0
+    counter = in_background(live.count_known)
+    assert counting.wait(10.0)
+    assert live.info().known_cells == 4  # of a moment ago: who asks does not wait
+    live.reset("second")
+    asked = in_background(live.info)
+    go_on.set()
+    counter.result(10.0)
+    assert asked.result(10.0).known_cells == 0
+
+
 def test_truth_is_that_of_the_map_and_the_world(live, clock):
     live.integrate(scan(2.0), HERE)
     world = load_world("{walls: [[2.1, 0.1, 2.1, 0.4]], path: {circle: [0, 0, 1], poses: 4}}")

@@ -1,6 +1,7 @@
 """The folder of a finished map: all of its files are new, or none is."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
-from ogm_services.results.map_folder import check_folder, write_map
+from ogm_services.results.map_folder import check_folder, check_place, write_map
 
 NAMES = ["map.npz", "map.pgm", "map.png", "map.yaml", "quality.json"]
 
@@ -43,5 +44,10 @@ def test_a_folder_that_cannot_be_made_is_found_out_before(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(BadInput, match=r"^--out .*file/out: cannot be written: Not a directory$"):
         check_folder(tmp_path / "file" / "out")
+    with pytest.raises(BadInput, match=r"^--out .*file/out: cannot be written: Not a directory$"):
+        check_place(tmp_path / "file" / "out")
+    check_place(tmp_path / "a" / "b" / "out")
+    check_place(Path("of-the-working-folder"))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
     check_folder(tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

@@ -169,16 +169,16 @@ def test_runs_are_those_of_one_robot():
 
 def test_expire_drops_what_waits_for_a_silent_robot():
     desk = Desk()
-    desk.mapper.heard("r", 100.0)
-    desk.mapper.heard("other", 101.5)
+    desk.placer.heard("r", 100.0)
+    desk.placer.heard("other", 101.5)
     desk.pose(0).scan(10).scan(20).pose(0, robot="other").scan(10, robot="other")
-    desk.mapper.expire(102.0, 2.0)
+    desk.placer.expire(102.0, 2.0)
     assert (desk.pending, desk.dropped) == (3, {})
-    desk.mapper.expire(102.1, 2.0)
+    desk.placer.expire(102.1, 2.0)
     desk.check()
     assert (desk.pending, desk.dropped) == (1, {"no_pose": 2})
-    desk.mapper.heard("other", 103.0)
-    desk.mapper.expire(104.9, 2.0)
+    desk.placer.heard("other", 103.0)
+    desk.placer.expire(104.9, 2.0)
     assert desk.pending == 1
     desk.pose(10).pose(10, robot="other")
     assert desk.order == [2]
@@ -186,15 +186,15 @@ def test_expire_drops_what_waits_for_a_silent_robot():
 
 def test_expire_keeps_the_poses():
     desk = Desk().pose(0).scan(50)
-    desk.mapper.heard("r", 1.0)
-    desk.mapper.expire(10.0, 2.0)
+    desk.placer.heard("r", 1.0)
+    desk.placer.expire(10.0, 2.0)
     assert desk.dropped == {"no_pose": 1}
     assert desk.pose(100).scan(50).xs == [pytest.approx(0.05)]
 
 
 def test_finish_drops_what_waits():
     desk = Desk().pose(0).scan(10).scan(10, robot="q").scan(0)
-    desk.mapper.finish()
+    desk.placer.finish()
     desk.check()
     assert (desk.order, desk.pending, desk.dropped) == ([2], 0, {"no_pose": 2})
 

@@ -143,7 +143,7 @@ def test_whatever_comes_scans_are_ready_in_time_and_go_in_arrival_order(messages
             assert start + (4 if what == "sweep" else 0) <= newest[robot]
     for seq, pose in desk.sink.placed:
         assert pose.x == pytest.approx(messages[seq][1])
-    desk.mapper.finish()
+    desk.placer.finish()
     assert desk.pending == 0
 
 

@@ -57,7 +57,7 @@ def test_any_time_between_beams_is_placed_or_dropped(time_increment):
     desk = Desk().pose(0).pose(20)
     desk.scan(10, beams=3, time_increment=time_increment)
     desk.pose(40)
-    desk.mapper.finish()
+    desk.placer.finish()
     desk.check()
     assert desk.order == ([0] if time_increment == 5e-324 else [])
     assert desk.pending == 0

@@ -32,7 +32,7 @@ def load(tmp_path):
 def test_defaults_are_those_of_the_core(load):
     settings = load()
     assert settings.grid_settings() == GridSettings()
-    assert settings.map.log_odds() == LogOdds()
+    assert settings.map.made_cell_model() == LogOdds()
     assert settings.map.preset is None
     assert settings.network.map_name == "default"
     assert (settings.http.host, settings.http.port) == ("127.0.0.1", 8000)

@@ -25,9 +25,9 @@ from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
-from ogm_services.results.driven_paths import Trail
+from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
-from ogm_services.results.map_folder import write_map
+from ogm_services.results.map_folder import check_place, write_map
 from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
@@ -56,12 +56,13 @@ def run_build(
     `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
 
     Raises:
-        BadInput: the world is none, or the figure cannot be drawn or written; nothing is written.
+        BadInput: the world is none, or the folder or the figure cannot be written; nothing is written.
         BadRecording: the log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
     max_beams = settings.mapper.max_beams
     true_world = None if world is None else world_named(world)
+    check_place(out)
     if figure is not None:
         check_figure(figure, out)
 
@@ -133,7 +134,7 @@ class _MapPass(_Pass):
     """Of every scan that was placed and not held out, in order: whether the map took it."""
     kept: _Kept = field(default_factory=_Kept)
     robot: str = ""
-    trails: dict[str, Trail] = field(default_factory=dict)
+    paths: dict[str, DrivenPath] = field(default_factory=dict)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Put a scan into the map, or aside."""
@@ -145,7 +146,7 @@ class _MapPass(_Pass):
         updates = self.grid.integrate(scan, pose, sweep)
         self.accepted[-1] = True
         self.kept.add(PlacedScan(scan, pose, sweep))
-        self.trails.setdefault(self.robot, Trail()).add(scan, pose)
+        self.paths.setdefault(self.robot, DrivenPath()).add(scan, pose)
         return updates
 
 
@@ -170,8 +171,8 @@ class _JudgePass(_Pass):
 def _feed(
     messages: RecordingReader, sink: _Pass, receipts: Receipts, hold_out: int | None, text: str
 ) -> None:
-    """Send a log through a mapper, up to and including what waits for poses at its end."""
-    mapper = ScanPlacer(sink, receipts, LimitedLog(logging.getLogger(__name__)).warning)
+    """Send a log through a scan placer, up to and including what waits for poses at its end."""
+    placer = ScanPlacer(sink, receipts, LimitedLog(logging.getLogger(__name__)).warning)
     index = 0
     with progress_bar(text, messages.size) as show:
         for message in messages:
@@ -182,12 +183,12 @@ def _feed(
                     sink.withheld.add(message.message)
                 index += 1
                 receipts.scan_received(message.robot, message.sensor)
-                mapper.add_scan(message.robot, message.sensor, message.message)
+                placer.add_scan(message.robot, message.sensor, message.message)
                 show(messages.position)
             else:
                 receipts.pose_received(message.robot)
-                mapper.add_pose(message.robot, message.message)
-    mapper.finish()
+                placer.add_pose(message.robot, message.message)
+    placer.finish()
 
 
 def _judged(
@@ -237,5 +238,5 @@ def _drawn(file: Path, log: Path, snapshot: MapSnapshot, world: World | None, fi
     # Here, because it loads matplotlib, which need not be there.
     from ogm_services.results.figure import describe, draw_map, encode_figure
 
-    figure = draw_map(snapshot, log.name, describe(snapshot, first.grid.settings), world, first.trails)
+    figure = draw_map(snapshot, log.name, describe(snapshot, first.grid.settings), world, first.paths)
     return encode_figure(figure, format_of(file))

@@ -131,7 +131,7 @@ class _Replay:
             return all(self._since(source, "received") >= sent.total for source, sent in self._sent.items())
 
         def handled() -> bool:
-            return all(_books(self._status, source).pending == 0 for source in self._sent)
+            return all(_status_of(self._status, source).pending == 0 for source in self._sent)
 
         self._follow()
         self._patiently(received, "taking scans")
@@ -160,18 +160,18 @@ class _Replay:
         return {reason: now[reason] - before[reason] for reason in now if now[reason] > before[reason]}
 
     def _since(self, source: Source, count: Literal["received", "pending", "integrated"]) -> int:
-        before, now = _books(self._before, source), _books(self._status, source)
+        before, now = _status_of(self._before, source), _status_of(self._status, source)
         return int(getattr(now, count) - getattr(before, count))
 
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
         self._status = read_status(self._client.status())
         for source, sent in self._sent.items():
-            book = _books(self._status, source)
-            sent.taken(book.run, book.last_seq)
+            status = _status_of(self._status, source)
+            sent.taken(status.run, status.last_seq)
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
-        """Poll until `reached`; give up when the books of our sources stand still for too long, s."""
+        """Poll until `reached`; give up when what it says of our sources stands still for too long, s."""
         patience = PATIENCE if patience is None else patience
         deadline, seen = time.monotonic() + patience, self._progress()
         while not reached():
@@ -183,7 +183,7 @@ class _Replay:
                 deadline, seen = time.monotonic() + patience, self._progress()
 
     def _progress(self) -> list[SourceStatus]:
-        return [_books(self._status, source) for source in self._sent]
+        return [_status_of(self._status, source) for source in self._sent]
 
     def _publisher(self, robot: str) -> RobotPublisher:
         if robot not in self._robots:
@@ -221,7 +221,7 @@ class _Pace:
         self._newest = stamp if self._newest is None else max(self._newest, stamp)
 
 
-def _books(status: Status, source: Source) -> SourceStatus:
+def _status_of(status: Status, source: Source) -> SourceStatus:
     """What a mapper's status says of one source; zeros before its first scan."""
     robot = status.robots.get(source.robot)
     known = None if robot is None else robot.sources.get(source.sensor or "")

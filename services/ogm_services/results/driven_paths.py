@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from ogm_core.types import Pose, Scan
 
 MOST = 10_000
-"""A trail with more points is thinned to half of them; even."""
+"""A path with more points is thinned to half of them; even."""
 JUMP = 5.0
 """Points farther apart are not joined, m: the robot was carried, or its log has a gap."""
 
 
-class Trail:
+class DrivenPath:
     """The way of one robot's base, from one integrated scan to the next."""
 
     def __init__(self) -> None:

@@ -29,7 +29,7 @@ from ogm_core.lattice import Region
 from ogm_core.pictures.scale_bar import round_length
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
-from ogm_services.results.driven_paths import Trail
+from ogm_services.results.driven_paths import DrivenPath
 
 DPI = 300
 LONGEST = 1800
@@ -66,9 +66,9 @@ Floats = NDArray[np.float64]
 
 
 def draw_map(
-    snapshot: MapSnapshot, name: str, description: str, world: World | None, trails: Mapping[str, Trail]
+    snapshot: MapSnapshot, name: str, description: str, world: World | None, paths: Mapping[str, DrivenPath]
 ) -> Figure:
-    """Draw a map that is not empty, its world's obstacles as outlines, and the robots' trails by their names.
+    """Draw a map that is not empty, its world's obstacles as outlines, and the robots' paths by their names.
 
     Shown are the map and a little around it, north up, under its name and its description.
     """
@@ -84,7 +84,7 @@ def draw_map(
         handles: list[Artist] = [Patch(facecolor=UNKNOWN, edgecolor="0.5", linewidth=0.5, label="unknown")]
         if world is not None:
             handles.append(_draw_obstacles(main, world, frame.view))
-        handles += _draw_trails(main, trails)
+        handles += _draw_paths(main, paths)
         _set_axes(main, frame.view)
         _lay_out(figure, frame, name, description, handles)
     return figure
@@ -199,11 +199,11 @@ def _reach_into(view: Region, lower: Floats, upper: Floats) -> NDArray[np.bool_]
     return np.asarray((lower <= view[2:]).all(axis=1) & (upper >= view[:2]).all(axis=1))
 
 
-def _draw_trails(axes: Axes, trails: Mapping[str, Trail]) -> list[Line2D]:
+def _draw_paths(axes: Axes, paths: Mapping[str, DrivenPath]) -> list[Line2D]:
     """Every robot's way, from a dot on; the handles are those that the legend has room for."""
     handles = []
-    for k, (robot, trail) in enumerate(trails.items()):
-        x, y = trail.line().T
+    for k, (robot, path) in enumerate(paths.items()):
+        x, y = path.line().T
         (line,) = axes.plot(x, y, color=ROBOTS[k % len(ROBOTS)], linewidth=0.7)
         line.set(marker="o", markersize=3.0, markevery=[0], label=f"path of {_shortened(robot, 24)}")
         handles.append(line)

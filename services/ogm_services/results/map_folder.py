@@ -1,6 +1,8 @@
 """Folder of a finished map: the files that it is written as."""
 
+import errno
 import json
+import os
 import re
 import tempfile
 from pathlib import Path
@@ -25,6 +27,19 @@ def check_folder(out: Path) -> None:
         tempfile.TemporaryFile(dir=out).close()
 
 
+def check_place(out: Path) -> None:
+    """Find out whether the folder `out` can be made and written, and leave everything as it is.
+
+    Raises:
+        BadInput: it cannot.
+    """
+    with written(out, "--out"):
+        nearest = next(path for path in (out, *out.absolute().parents) if os.path.lexists(path))
+        if not nearest.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
+        tempfile.TemporaryFile(dir=nearest).close()
+
+
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
     """Write map.png, map.pgm, map.yaml, map.npz and quality.json into the folder `out`, made if need be.
 
@@ -46,9 +61,8 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) 
         files[QUALITY] = _readable(quality).encode()
     with written(out, "--out"):
         out.mkdir(parents=True, exist_ok=True)
-        if quality is None:
-            (out / QUALITY).unlink(missing_ok=True)
-        write_files({out / name: content for name, content in files.items()})
+        stale = out / QUALITY if quality is None else None
+        write_files({out / name: content for name, content in files.items()}, without=stale)
 
 
 def write_quality(out: Path, quality: dict[str, Any]) -> None:

@@ -69,7 +69,7 @@ class MapFlags(_SettingFlags):
         str | None, _setting("map", "sensor_model", _choices(SensorModel), "How a scan is read")
     ] = None
     model: Annotated[str | None, typer.Option("--model", hidden=True)] = None
-    """What `sensor_model` was called in release 0.1."""
+    """What `sensor_model` was called at first."""
     cell_model: Annotated[
         str | None, _setting("map", "cell_model", _choices(CellModelName), "What a cell keeps")
     ] = None

@@ -1,7 +1,7 @@
 """Settings of every service: what may be set, and within which limits."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Self, assert_never
 
 import yaml
 from pydantic import (
@@ -15,6 +15,7 @@ from pydantic import (
 )
 
 from ogm_core.cells.log_odds import CellType, LogOdds
+from ogm_core.cells.model import CellModel
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import (
     DEFAULT_MAX_BYTES,
@@ -77,12 +78,14 @@ class MapSettings(_Section):
     bounds: Annotated[Bounds | None, NONE] = None
     outside: Outside = "clip"
 
-    def log_odds(self) -> LogOdds:
-        """The cell model.
+    def made_cell_model(self) -> CellModel:
+        """The cell model of this name, with its parameters.
 
         Raises:
             BadSetting: probabilities and clamps contradict each other.
         """
+        if self.cell_model != "log_odds":
+            assert_never(self.cell_model)
         return LogOdds(self.cells, self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)
 
 
@@ -124,7 +127,7 @@ class MapperSettings(_Section):
     """The mapper's limits, and what its map starts with.
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_beams` of one scan,
-    `pose_wait` in seconds without a message from a robot, `queue` in messages. `start_map` is the YAML file
+    `pose_wait` in seconds without a message from a robot, `queue` in scans. `start_map` is the YAML file
     of a ROS map, a relative path starts at the working folder; `start_confidence` the probability that its
     occupied cells are occupied, and its free ones free.
     """
@@ -165,7 +168,7 @@ class Settings(BaseModel):
         """What the map is made of."""
         return GridSettings(
             resolution=self.map.resolution,
-            cell_model=self.map.log_odds(),
+            cell_model=self.map.made_cell_model(),
             sensor_model=self.map.sensor_model,
             traversal=self.map.traversal,
             alpha=self.map.alpha,

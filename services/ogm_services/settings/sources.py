@@ -18,7 +18,7 @@ from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.values import PRESETS
 
 RENAMED = {("map", "model"): ("map", "sensor_model")}
-"""Names of settings in the last release: they hold for one release more, and say so."""
+"""Former names of settings: they hold for one release, and say so."""
 
 
 class _Given(NamedTuple):

@@ -22,13 +22,13 @@ log = logging.getLogger(__name__)
 
 
 class Worker:
-    """Owns the mapper, and through it the map's writing side. Started once, stopped once."""
+    """Owns the scan placer, and through it the map's writing side. Started once, stopped once."""
 
     def __init__(
-        self, queue: ScanQueue, mapper: ScanPlacer, receipts: Receipts, *, max_beams: int, pose_wait: float
+        self, queue: ScanQueue, placer: ScanPlacer, receipts: Receipts, *, max_beams: int, pose_wait: float
     ) -> None:
         self._queue = queue
-        self._mapper = mapper
+        self._placer = placer
         self._receipts = receipts
         self._max_beams = max_beams
         self._pose_wait = pose_wait
@@ -86,7 +86,7 @@ class Worker:
             if now - looked >= LOOK_PERIOD:
                 looked = now
                 with self._surviving("a look for silent robots"):
-                    self._mapper.expire(now, self._pose_wait)
+                    self._placer.expire(now, self._pose_wait)
             if item is not None:
                 self._work_on(item)
 
@@ -97,7 +97,7 @@ class Worker:
         elif item.source is not None:
             robot, sensor = item.source
             with self._surviving(f"a message of {robot}/{sensor or 'pose'}"):
-                self._mapper.heard(robot, item.arrival)
+                self._placer.heard(robot, item.arrival)
                 if sensor is None:
                     self._take_pose(robot, item.payload)
                 else:
@@ -112,17 +112,17 @@ class Worker:
             self._bugs.failure(what)
 
     def _take_pose(self, robot: str, payload: bytes) -> None:
-        """Decode a pose and hand it to the mapper; a bad one is counted."""
+        """Decode a pose and hand it to the placer; a bad one is counted."""
         try:
             message = decode_pose(payload)
         except BadMessage as error:
             self._receipts.pose_refused("malformed")
             self._complaints.warning(f"{robot}/pose", str(error))
         else:
-            self._mapper.add_pose(robot, message)
+            self._placer.add_pose(robot, message)
 
     def _take_scan(self, robot: str, sensor: str, payload: bytes) -> None:
-        """Decode a scan and hand it to the mapper; a bad one is counted."""
+        """Decode a scan and hand it to the placer; a bad one is counted."""
         try:
             scan = decode_scan(payload, max_beams=self._max_beams)
         except BadMessage as error:
@@ -132,4 +132,4 @@ class Worker:
             self._receipts.scan_dropped(robot, sensor, "failed")
             raise
         else:
-            self._mapper.add_scan(robot, sensor, scan)
+            self._placer.add_scan(robot, sensor, scan)

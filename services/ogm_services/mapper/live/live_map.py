@@ -199,10 +199,13 @@ class LiveMap:
     ) -> _T:
         """The cached value, computed anew if the map or the world is another and it is FIGURES_PERIOD old.
 
-        Who is `patient` takes a value of up to PATIENCE, and does not wait while another one computes it.
+        Who is `patient` takes a value of up to PATIENCE, and does not wait while another one computes it,
+        unless all that is known is of before a reset.
         """
-        if not cached.lock.acquire(blocking=not patient or cached.identity is None):
-            return cast(_T, cached.value)
+        known, value = cached.identity, cached.value
+        at_once = patient and known is not None and known.epoch == self.now.epoch
+        if not cached.lock.acquire(blocking=not at_once):
+            return cast(_T, value)
         try:
             identity = self.now
             new_life = cached.identity is None or cached.identity.epoch != identity.epoch
