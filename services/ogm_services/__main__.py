@@ -1,6 +1,9 @@
 """`ogm`, which is also `python -m ogm_services`: the command line, unless its files may be another's."""
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 
 
@@ -15,9 +18,23 @@ def main() -> None:
             "ogm: zenoh-ogm and zenoh-ogm-client are both installed and overwrite each other's files: "
             "run `pip uninstall zenoh-ogm zenoh-ogm-client`, then install one of the two"
         )
-    from ogm_services import cli
+    with _quiet_interrupt():
+        from ogm_services import cli
 
     cli.main()
+
+
+@contextmanager
+def _quiet_interrupt() -> Iterator[None]:
+    """Ctrl-C inside ends the process at once, without a traceback: nothing runs that has to end in order."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield  # ignored, as of what a shell has put into the background
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _installed(distribution: str) -> bool:

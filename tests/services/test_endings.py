@@ -1,4 +1,6 @@
 import signal
+import subprocess
+import sys
 
 import pytest
 import typer
@@ -86,3 +88,20 @@ def test_under_nohup_a_closed_terminal_ends_nothing_and_hides_no_other_signal():
     assert ended(serve, interrupted=7) == 7
     assert reached == ["after the first"]
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def test_ctrl_c_before_anything_runs_ends_it_without_a_word():
+    program = """
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "ogm_services.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+from ogm_services.__main__ import main
+main()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (-signal.SIGINT, "", "")

@@ -135,6 +135,24 @@ def test_two_that_compile_a_kernel_for_different_types_at_once_get_their_own(toy
     assert len(set(tmp_path.rglob("*.nbc")) - set(first)) == len(first) == 2
 
 
+@pytest.mark.parametrize(
+    ("suffix", "damage"), [("nbi", b""), ("nbc", b"\x80\x05cut off"), ("nbc", b"no pickle at all")]
+)
+def test_what_a_power_cut_has_left_is_compiled_again(toy, tmp_path, suffix, damage):
+    kernels = str(tmp_path / "kernels")
+    assert printed(toy(1, NUMBA_CACHE_DIR=kernels)) == ["True", "2", "0"]
+    for file in tmp_path.rglob(f"*.{suffix}"):
+        file.write_bytes(damage)
+    assert printed(toy(1, NUMBA_CACHE_DIR=kernels)) == ["False", "2", "0"]
+    assert all(file.read_bytes() != damage for file in tmp_path.rglob(f"*.{suffix}"))
+
+
+def test_where_there_is_no_more_room_kernels_are_compiled_and_not_kept(toy, tmp_path):
+    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); " + AS_OGM_DOES
+    assert printed(toy(1, full, NUMBA_CACHE_DIR=str(tmp_path / "kernels"))) == ["True", "2", "0"]
+    assert list(tmp_path.rglob("*.nbc")) == []
+
+
 def test_any_program_can_be_run_with_kernels_kept_so(tmp_path):
     show = "import os, sys; print(os.environ['NUMBA_CACHE_DIR']); sys.exit(3)"
     module = ["-m", "ogm_services.runtime.kernel_cache"]

@@ -50,4 +50,10 @@ def test_a_folder_that_cannot_be_made_is_found_out_before(tmp_path):
     check_place(Path("of-the-working-folder"))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     check_folder(tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["file", "out"]
+    (tmp_path / "out" / "map.png").mkdir()
+    for check in (check_folder, check_place):
+        with pytest.raises(BadInput, match=r"^--out .*out/map.png: cannot be written: Is a directory$"):
+            check(tmp_path / "out")
+    (tmp_path / "out" / "map.png").rmdir()
     assert list((tmp_path / "out").iterdir()) == []

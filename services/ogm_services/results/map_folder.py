@@ -10,21 +10,25 @@ from typing import Any
 
 from ogm_core.files.map_files import encode_npz, encode_pgm, encode_png, encode_yaml
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.whole_files import write_files
+from ogm_core.whole_files import check_file, write_files
 from ogm_services.results.written import written
 
 QUALITY = "quality.json"
+NAMES = ("map.png", "map.pgm", "map.yaml", "map.npz", QUALITY)
+"""What is written of a map."""
 
 
 def check_folder(out: Path) -> None:
-    """Make the folder `out` if need be, long before anything is written into it.
+    """Make the folder `out` if need be, long before the files of a map are written into it.
 
     Raises:
-        BadInput: it cannot be made or written.
+        BadInput: it cannot be made or written, or something else has the name of one of the files.
     """
     with written(out, "--out"):
         out.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=out).close()
+    for name in NAMES:
+        with written(out / name, "--out"):
+            check_file(out / name)
 
 
 def check_place(out: Path) -> None:
@@ -38,6 +42,8 @@ def check_place(out: Path) -> None:
         if not nearest.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(nearest))
         tempfile.TemporaryFile(dir=nearest).close()
+    if out.is_dir():
+        check_folder(out)
 
 
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
