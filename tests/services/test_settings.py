@@ -129,6 +129,10 @@ def test_a_file_holds_plain_yaml_values(load):
         ),
         ({"env": {"OGM_MAPS__ALPHA": "1"}}, "environment OGM_MAPS__ALPHA: unknown setting"),
         ({"env": {"OGM_map__alpha": "1"}}, "environment OGM_map__alpha: unknown setting"),
+        (
+            {"file": "map: {modell: beam}"},
+            "ogm.yaml: map.modell: unknown setting (did you mean map.cell_model?)",
+        ),
         ({"file": "map: {alfa: 1}"}, "ogm.yaml: map.alfa: unknown setting (did you mean map.alpha?)"),
         ({"file": "htp: {port: 1}"}, "ogm.yaml: htp: unknown setting (did you mean http?)"),
         ({"file": "map: {1: 2}"}, "ogm.yaml: map.1: unknown setting"),

@@ -5,7 +5,7 @@ it.
 """
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,10 +142,10 @@ def _names(form: str) -> dict[str, tuple[str, str]]:
     return {form.format(*name): name for name in [*names, *RENAMED]}
 
 
-def _check_known(source: str, name: str, known: Iterable[str]) -> None:
-    names = list(known)
-    if name not in names:
-        close = difflib.get_close_matches(name, names, n=1)
+def _check_known(source: str, name: str, known: Mapping[str, object]) -> None:
+    if name not in known:
+        current = [other for other, setting in known.items() if setting not in RENAMED]
+        close = difflib.get_close_matches(name, current, n=1)
         raise BadSetting(f"{source}{name}: unknown setting{f' (did you mean {close[0]}?)' if close else ''}")
 
 
