@@ -113,6 +113,15 @@ def test_a_change_of_a_shared_file_reaches_the_kernels_that_call_it(toy):
     assert printed(toy(1)) == ["False", "2", "1"]  # the former state's are still there
 
 
+def test_another_install_of_the_same_sources_finds_them(toy, tmp_path):
+    kernels = str(tmp_path / "kernels")
+    assert printed(toy(1, NUMBA_CACHE_DIR=kernels)) == ["True", "2", "0"]
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(tmp_path / "toy", elsewhere / "toy")
+    again = start(["-B", "-c", AS_OGM_DOES], elsewhere, NUMBA_CACHE_DIR=kernels)
+    assert printed(again) == ["False", "2", "1"]
+
+
 def test_numba_left_alone_goes_on_with_the_old_code(toy):
     assert printed(toy(1, AS_NUMBA_DOES)) == ["2", "0"]
     assert printed(toy(5, AS_NUMBA_DOES)) == ["2", "1"]

@@ -11,9 +11,10 @@ read is compiled again, and what cannot be written is compiled at the next start
 import os
 import secrets
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
-from numba.core import caching
+from numba.core import caching, config
 
 _writers: dict[int, str] = {}
 
@@ -50,4 +51,13 @@ setattr(caching, "IndexDataCacheFile", _KernelFile)  # noqa: B010
 
 
 class KernelFiles(caching.UserProvidedCacheLocator):
-    """Locator (numba: cache locator class) of kernels in NUMBA_CACHE_DIR, and nowhere else."""
+    """Locator (numba: cache locator class) of kernels in NUMBA_CACHE_DIR, and nowhere else.
+
+    By their module's name, wherever it was installed: the folder is one of equal sources already.
+    """
+
+    def __init__(self, function: Any, source: str) -> None:  # noqa: ANN401
+        """Locate the kernel `function`, which stands in the file `source`."""
+        super().__init__(function, source)  # type: ignore[no-untyped-call]
+        folder = Path(config.CACHE_DIR)  # type: ignore[attr-defined]
+        self._cache_path = str(folder / function.__module__)
