@@ -10,7 +10,8 @@ PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
 
-# Processes that each have files of their own, three for two cores; the services' many short files come last, so that all end together.
+# Three processes for two cores (tests/conftest.py), each with files of its own; the services' many short files come
+# last, so that all end together.
 PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.dev
