@@ -31,17 +31,16 @@ class CellArrays:
 
     def planes(self, rows: slice = _ALL, columns: slice = _ALL, margin: int = 0) -> Planes:
         """The planes of some rows and columns, with so many cells more on every side; 0 beyond the arrays."""
-        within = self._rows[rows], self._columns[columns]
-        edges = within[0].start, within[0].stop, within[1].start, within[1].stop
+        up, along = self._rows[rows], self._columns[columns]
+        edges = up.start, up.stop, along.start, along.stop
         return {
             name: _window(cells, edges, margin, self._sides[name]) for name, cells in self._planes.items()
         }
 
     def part(self, rows: slice, columns: slice) -> CellSource:
         """The rectangle of some rows and columns."""
-        within = self._rows[rows], self._columns[columns]
-        south, west = within[0].start, within[1].start
-        part = slice(south, south + len(within[0])), slice(west, west + len(within[1]))
+        up, along = self._rows[rows], self._columns[columns]
+        part = slice(up.start, up.stop), slice(along.start, along.stop)
         return CellArrays(self._planes, self._sides, part)
 
     def any_written(self) -> NDArray[np.bool_]:

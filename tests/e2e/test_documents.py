@@ -286,3 +286,10 @@ def test_the_first_make_says_how_much_it_installs_before_it_does(target, tmp_pat
 def _code(text):
     """What stands in `quotes` and in blocks."""
     return "\n".join([*re.findall(r"`([^`]+)`", text), *re.findall(r"^```.*?^```", text, re.M | re.S)])
+
+
+def test_the_changelog_tells_of_this_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    _, *sections = re.split(r"^## ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), flags=re.M)
+    assert re.findall(r"\[([\d.]+)\]", sections[0].splitlines()[0]) == [version]
+    assert len(re.findall(r"^- ", sections[0], flags=re.M)) > 20
