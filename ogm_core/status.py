@@ -4,7 +4,7 @@ A field that is added later gets a default value, so that whoever reads the stat
 """
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from ogm_core.types import Pose
@@ -23,11 +23,19 @@ class ScanCounts:
 
 @dataclass(frozen=True, slots=True)
 class PoseCounts:
-    """Poses of all robots: those that arrived, and of these those that were not used."""
+    """Poses of all robots: those that arrived, and what was odd about some of them.
+
+    `late`, `outlier`, `superseded` and `malformed` ones are not used; with a `restarted` one a robot's time
+    begins anew, and an `ambiguous` one has the stamp of another that says something else.
+    """
 
     received: int
     malformed: int
     late: int
+    restarted: int = 0
+    ambiguous: int = 0
+    outlier: int = 0
+    superseded: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,22 +47,32 @@ class OtherCounts:
 
 @dataclass(frozen=True, slots=True)
 class SourceStatus:
-    """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue."""
+    """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue.
+
+    `dropped` holds the reasons that occurred, with counts; `hints` names what looks wrong with its data.
+    """
 
     run: str
     last_seq: int | None
     received: int
     pending: int
     integrated: int
+    dropped: dict[str, int] = field(default_factory=dict)
+    hints: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """Where a robot was last said to be (x and y in m, theta in rad), when (ns), and its sensors by name."""
+    """Where a robot was last said to be (x and y in m, theta in rad), when (ns), and its sensors by name.
+
+    `alive`: whether its liveliness token is there; `age_s`: seconds since its last message of any kind.
+    """
 
     pose: Pose | None
     stamp: int | None
-    sources: dict[str, SourceStatus]
+    alive: bool = False
+    age_s: float | None = None
+    sources: dict[str, SourceStatus] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,18 @@
 
 import threading
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
 from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
 from ogm_core.types import Pose
 
-DropReason = Literal["malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"]
+DropReason = Literal[
+    "malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "superseded", "failed"
+]
 DROP_REASONS: tuple[DropReason, ...] = get_args(DropReason)
+PoseNote = Literal["malformed", "late", "restarted", "ambiguous", "outlier", "superseded"]
+"""What is odd about a pose."""
 
 
 @dataclass(slots=True)
@@ -19,24 +23,29 @@ class _Sensor:
     received: int = 0
     integrated: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    hints: list[str] = field(default_factory=list)
 
     @property
     def pending(self) -> int:
         return self.received - self.integrated - self.dropped.total()
 
     def status(self) -> SourceStatus:
-        return SourceStatus(self.run, self.last_seq, self.received, self.pending, self.integrated)
+        counts = self.received, self.pending, self.integrated
+        return SourceStatus(self.run, self.last_seq, *counts, dict(self.dropped), list(self.hints))
 
 
 @dataclass(slots=True)
 class _Robot:
     pose: Pose | None = None
     stamp: int | None = None
+    runs_alive: set[str] = field(default_factory=set)
+    heard: float | None = None
     sensors: dict[str, _Sensor] = field(default_factory=dict)
 
-    def status(self) -> RobotStatus:
+    def status(self, now: float | None) -> RobotStatus:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
-        return RobotStatus(self.pose, self.stamp, sources)
+        age = None if now is None or self.heard is None else max(0.0, now - self.heard)
+        return RobotStatus(self.pose, self.stamp, bool(self.runs_alive), age, sources)
 
 
 class Receipts:
@@ -49,7 +58,7 @@ class Receipts:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._robots: dict[str, _Robot] = {}
-        self._poses = {"received": 0, "malformed": 0, "late": 0}
+        self._poses: Counter[str] = Counter()
         self._ignored = 0
 
     def pose_received(self, robot: str) -> None:
@@ -58,10 +67,31 @@ class Receipts:
             self._robot(robot)
             self._poses["received"] += 1
 
-    def pose_refused(self, reason: Literal["malformed", "late"]) -> None:
-        """Count a pose that is not used."""
+    def pose_noted(self, note: PoseNote) -> None:
+        """Count a pose that is not used, or that is odd in another way."""
         with self._lock:
-            self._poses[reason] += 1
+            self._poses[note] += 1
+
+    def heard(self, robot: str, now: float) -> None:
+        """Note that any message of a robot has arrived, at `now`, s of the clock that `status` is told."""
+        with self._lock:
+            self._robot(robot).heard = now
+
+    def robot_alive(self, robot: str, run: str, alive: bool) -> None:
+        """Note whether the liveliness token of a robot's run is there."""
+        with self._lock:
+            runs = self._robot(robot).runs_alive
+            if alive:
+                runs.add(run)
+            else:
+                runs.discard(run)
+
+    def hint(self, robot: str, sensor: str, slug: str) -> None:
+        """Note what looks wrong with a source's data, each once."""
+        with self._lock:
+            hints = self._sensor(robot, sensor).hints
+            if slug not in hints:
+                hints.append(slug)
 
     def ignored(self) -> None:
         """Count a message that is neither a pose nor a scan."""
@@ -95,8 +125,8 @@ class Receipts:
         with self._lock:
             self._sensor(robot, sensor).dropped[reason] += 1
 
-    def status(self) -> MessageCounts:
-        """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment."""
+    def status(self, now: float | None = None) -> MessageCounts:
+        """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s."""
         with self._lock:
             sensors = [sensor for robot in self._robots.values() for sensor in robot.sensors.values()]
             return MessageCounts(
@@ -106,9 +136,9 @@ class Receipts:
                     pending=sum(sensor.pending for sensor in sensors),
                     dropped={reason: sum(s.dropped[reason] for s in sensors) for reason in DROP_REASONS},
                 ),
-                poses=PoseCounts(**self._poses),
+                poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),
-                robots={name: robot.status() for name, robot in self._robots.items()},
+                robots={name: robot.status(now) for name, robot in self._robots.items()},
             )
 
     def _robot(self, robot: str) -> _Robot:

@@ -68,7 +68,7 @@ class ScanPlacer:
             self._give_up(name, robot)
             robot.poses = PoseHistory()
         if not robot.poses.append(message.stamp, message.pose):
-            self._receipts.pose_refused("late")
+            self._receipts.pose_noted("late")
             return
         self._receipts.located(name, message.stamp, message.pose)
         waiting, robot.waiting = robot.waiting, []

@@ -205,7 +205,9 @@ def test_refusals_are_counted_under_their_slug():
     assert desk.order == [0, 3, 5]
     assert desk.dropped == {"limit": 2, "outside": 1}
     source = desk.receipts.status().robots["r"].sources["s"]
-    assert source == SourceStatus(run="", last_seq=5, received=6, pending=0, integrated=3)
+    assert source == SourceStatus(
+        run="", last_seq=5, received=6, pending=0, integrated=3, dropped={"limit": 2, "outside": 1}
+    )
 
 
 def test_a_bug_in_the_sink_is_not_a_refusal():

@@ -187,6 +187,7 @@ def test_reset_begins_a_new_epoch_and_keeps_the_books(mapper):
     assert after["epoch"] != before["epoch"]
     assert (after["revision"], after["stamp"]) == (0, None)
     assert (after["map_info"]["width"], after["map_info"]["bytes"]) == (0, 0)
+    assert after["robots"]["r"].pop("age_s") > before["robots"]["r"].pop("age_s")
     for kept in ("scans", "poses", "other", "robots"):
         assert after[kept] == before[kept]
     assert problem(mapper.http.get("/map.png")) == (404, "map-empty")

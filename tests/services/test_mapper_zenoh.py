@@ -101,6 +101,7 @@ def test_quality_is_that_of_http(cross, eventually):
 def test_status(cross):
     ours, theirs = json.loads(cross.answer("status").payload.to_bytes()), cross.status()
     assert 0 < ours.pop("uptime_s") < theirs.pop("uptime_s")
+    assert 0 < ours["robots"]["r"].pop("age_s") < theirs["robots"]["r"].pop("age_s")
     assert ours == theirs
 
 

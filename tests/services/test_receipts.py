@@ -6,20 +6,23 @@ import pytest
 
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
 from ogm_core.types import Pose
-from status_json import as_json
+from status_json import NO_POSES, as_json
 
 NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
+NOWHERE = {"pose": None, "stamp": None, "alive": False, "age_s": None, "sources": {}}
+QUIET = {"dropped": {}, "hints": []}
 
 
 def test_an_empty_ledger_has_every_name_of_the_status():
     assert as_json(Receipts().status()) == {
         "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED},
-        "poses": {"received": 0, "malformed": 0, "late": 0},
+        "poses": NO_POSES,
         "other": {"ignored": 0},
         "robots": {},
     }
     assert (
-        *("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "failed"),
+        *("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "superseded"),
+        "failed",
     ) == DROP_REASONS
 
 
@@ -40,11 +43,12 @@ def test_scans_are_counted_by_source_and_in_total():
         "dropped": {**NOTHING_DROPPED, "stale": 1, "malformed": 1},
     }
     assert status["robots"]["a"]["sources"] == {
-        "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1},
-        "t": {"run": "", "last_seq": None, "received": 1, "pending": 1, "integrated": 0},
+        "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1} | QUIET,
+        "t": {"run": "", "last_seq": None, "received": 1, "pending": 1, "integrated": 0} | QUIET,
     }
+    dropped = {"dropped": {"stale": 1, "malformed": 1}, "hints": []}
     assert status["robots"]["b"]["sources"] == {
-        "s": {"run": "run2", "last_seq": 9, "received": 2, "pending": 0, "integrated": 0}
+        "s": {"run": "run2", "last_seq": 9, "received": 2, "pending": 0, "integrated": 0} | dropped
     }
 
 
@@ -74,21 +78,40 @@ def test_poses_and_other_messages():
     receipts = Receipts()
     for _ in range(4):
         receipts.pose_received("a")
-    receipts.pose_refused("late")
-    receipts.pose_refused("malformed")
-    receipts.pose_refused("late")
+    receipts.pose_noted("late")
+    receipts.pose_noted("malformed")
+    receipts.pose_noted("late")
     receipts.ignored()
     status = as_json(receipts.status())
-    assert status["poses"] == {"received": 4, "malformed": 1, "late": 2}
+    assert status["poses"] == NO_POSES | {"received": 4, "malformed": 1, "late": 2}
     assert status["other"] == {"ignored": 1}
-    assert status["robots"] == {"a": {"pose": None, "stamp": None, "sources": {}}}
+    assert status["robots"] == {"a": NOWHERE}
 
 
 def test_a_robot_is_where_it_was_last_said_to_be():
     receipts = Receipts()
     receipts.located("a", 5, Pose(1.0, 2.0, 3.0))
     receipts.located("a", 7, Pose(4.0, 5.0, 6.0))
-    assert as_json(receipts.status())["robots"]["a"] == {"pose": [4.0, 5.0, 6.0], "stamp": 7, "sources": {}}
+    assert as_json(receipts.status())["robots"]["a"] == NOWHERE | {"pose": [4.0, 5.0, 6.0], "stamp": 7}
+
+
+def test_a_robot_is_alive_while_one_of_its_runs_is_and_as_old_as_its_last_message():
+    receipts = Receipts()
+    for run, alive in (("x", True), ("y", True), ("x", False), ("x", False)):
+        receipts.robot_alive("a", run, alive)
+    receipts.heard("a", 12.5)
+    receipts.heard("b", 15.0)
+    robots = receipts.status(now=14.0).robots
+    assert [(robots[name].alive, robots[name].age_s) for name in "ab"] == [(True, 1.5), (False, 0.0)]
+    receipts.robot_alive("a", "y", False)
+    assert not receipts.status().robots["a"].alive
+
+
+def test_a_hint_is_noted_once():
+    receipts = Receipts()
+    for slug in ("range_max", "turns", "range_max"):
+        receipts.hint("a", "s", slug)
+    assert receipts.status().robots["a"].sources["s"].hints == ["range_max", "turns"]
 
 
 def test_a_status_is_a_copy():

@@ -24,8 +24,8 @@ def test_what_only_a_newer_mapper_says_is_passed_over():
     newer = sent()
     newer["build"] = {"of": "tomorrow"}
     newer["scans"] |= {"lost": 3}
-    newer["robots"]["r2"] |= {"alive": True}
-    newer["robots"]["r2"]["sources"]["front"] |= {"dropped": {"no_pose": 1}}
+    newer["robots"]["r2"] |= {"battery": 0.5}
+    newer["robots"]["r2"]["sources"]["front"] |= {"latency": 0.1}
     newer["scans"]["dropped"] |= {"superseded": 4}
     read = read_status(newer)
     assert read.scans.dropped == {"malformed": 0, "no_pose": 7, "superseded": 4}

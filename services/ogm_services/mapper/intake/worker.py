@@ -97,6 +97,7 @@ class Worker:
         elif item.source is not None:
             robot, sensor = item.source
             with self._surviving(f"a message of {robot}/{sensor or 'pose'}"):
+                self._receipts.heard(robot, item.arrival)
                 self._placer.heard(robot, item.arrival)
                 if sensor is None:
                     self._take_pose(robot, item.payload)
@@ -116,7 +117,7 @@ class Worker:
         try:
             message = decode_pose(payload)
         except BadMessage as error:
-            self._receipts.pose_refused("malformed")
+            self._receipts.pose_noted("malformed")
             self._complaints.warning(f"{robot}/pose", str(error))
         else:
             self._placer.add_pose(robot, message)

@@ -72,7 +72,7 @@ class ZenohSubscriber:
             check_length(length, MAX_POSE_BYTES if sensor is None else self._max_scan_bytes)
         except BadMessage as error:
             if sensor is None:
-                self._receipts.pose_refused("malformed")
+                self._receipts.pose_noted("malformed")
             else:
                 self._receipts.scan_dropped(robot, sensor, "malformed")
             self._complaints.warning(f"{robot}/{sensor or 'pose'}", str(error))

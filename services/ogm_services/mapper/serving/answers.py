@@ -183,7 +183,7 @@ class Answers:
     def current_status(self) -> Status:
         """The mapper's status, not yet encoded."""
         self.check_ready()
-        counts = self._receipts.status()
+        counts = self._receipts.status(time.monotonic())
         epoch, revision, stamp = self._map.now
         return Status(
             map=self._map_name,
