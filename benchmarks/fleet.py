@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.growth import Case, Costs, Factor, Floats, best_of, place
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 from ogm_core.wire.keys import Source
@@ -52,10 +53,8 @@ class Fleet:
         self._tick = 0
         self.receipts = Receipts()
         self._queue = ScanQueue(robots * self._ticks)
-        placer = ScanPlacer(sink, self.receipts, lambda *_: None)
-        self._worker = Worker(
-            self._queue, placer, self.receipts, max_beams=DEFAULT_MAX_BEAMS, pose_wait=math.inf
-        )
+        placer = ScanPlacer(sink, self.receipts, lambda *_: None, PlacingRules(pose_wait=math.inf))
+        self._worker = Worker(self._queue, placer, self.receipts, max_beams=DEFAULT_MAX_BEAMS)
 
     def __enter__(self) -> "Fleet":
         self._worker.start()

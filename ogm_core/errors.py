@@ -8,7 +8,11 @@ OgmError
 |   +-- BadRecording      a log cannot be read, or holds no scan
 |   +-- BadWorld          a simulated world's description is wrong
 |   +-- BadMapFile        a map file (YAML and picture) cannot be read, or is not one
-+-- LimitReached          a scan would stretch the map past its limits
++-- ScanRefused           a well-formed scan is not integrated
+|   +-- NoPose            its robot's poses do not tell where it was taken
+|   +-- Stale             it lies before the robot's oldest kept pose
+|   +-- LimitReached      it would stretch the map past its limits
+|   +-- OutsideBounds     every beam leaves bounds that drop such beams
 +-- MapEmpty              there is no known cell to draw
 """
 
@@ -66,6 +70,18 @@ class ScanRefused(OgmError):
     """A well-formed scan is not integrated; the slug is the reason that it is counted under."""
 
     slug = "refused"
+
+
+class NoPose(ScanRefused):
+    """The poses of a scan's robot do not tell where it was taken."""
+
+    slug = "no_pose"
+
+
+class Stale(ScanRefused):
+    """A scan's stamp lies before the oldest kept pose of its robot."""
+
+    slug = "stale"
 
 
 class LimitReached(ScanRefused):

@@ -5,6 +5,7 @@ import logging
 import numpy as np
 
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
+from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.runtime.limited_log import LimitedLog
@@ -13,11 +14,17 @@ T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 
 
+def stamp_of(ms):
+    """Stamp of a time in ms since T0."""
+    return T0 + round(ms * MS)
+
+
 class Sink:
     """Records what it is handed; refuses the scans whose seq is in `refusals`, by that error."""
 
     def __init__(self, refusals=None):
         self.placed = []
+        self.scans = []
         self.sweeps = {}
         self.refusals = refusals or {}
 
@@ -27,33 +34,44 @@ class Sink:
         if sweep is not None:
             self.sweeps[scan.seq] = sweep
         self.placed.append((scan.seq, pose))
+        self.scans.append(scan)
         return 0
 
 
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None):
+    def __init__(self, sink=None, **rules):
         self.sink = sink or Sink()
         self.receipts = Receipts()
-        self.complaints = LimitedLog(logging.getLogger(__name__))
-        self.placer = ScanPlacer(self.sink, self.receipts, self.complaints.warning)
+        self.log = LimitedLog(logging.getLogger(__name__))
+        self.complaints = []
+        """(source, kind, text), as they were made."""
+        self.placer = ScanPlacer(self.sink, self.receipts, self.complain, PlacingRules(**rules))
+        self._tags = {}
+        self.now = 0.0
+        """When messages arrive, s."""
         self.received = 0
 
-    def pose(self, ms, pose=None, *, run="", robot="r"):
+    def complain(self, source, kind, text):
+        self.complaints.append((source, kind, text))
+        self.log.of_kind(source, kind, text)
+
+    def pose(self, ms, pose=None, *, run="", seq=0, robot="r"):
         pose = Pose(ms / 1000, 0.0, 0.0) if pose is None else pose
         self.receipts.pose_received(robot)
-        self.placer.add_pose(robot, PoseStamped(T0 + round(ms * MS), pose, run=run))
+        self.placer.add_pose(robot, PoseStamped(stamp_of(ms), pose, seq, run), self.now)
         self.check()
         return self
 
-    def scan(self, ms, *, seq=None, robot="r", sensor="s", beams=1, **fields):
+    def scan(self, ms, *, seq=None, robot="r", sensor="s", beams=1, tag=None, **fields):
         """A scan; by default its seq is the number of scans before it."""
         seq = self.received if seq is None else seq
-        scan = Scan(T0 + round(ms * MS), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
+        scan = Scan(stamp_of(ms), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
         self.received += 1
+        self._tags[scan] = tag
         self.receipts.scan_received(robot, sensor)
-        self.placer.add_scan(robot, sensor, scan)
+        self.placer.add_scan(robot, sensor, scan, self.now)
         self.check()
         return self
 
@@ -69,6 +87,11 @@ class Desk:
     def order(self):
         """Seqs of the integrated scans."""
         return [seq for seq, _ in self.sink.placed]
+
+    @property
+    def tags(self):
+        """What the integrated scans were tagged with."""
+        return [self._tags[scan] for scan in self.sink.scans]
 
     @property
     def xs(self):

@@ -73,7 +73,7 @@ def write_rough_log(path):
         Drive("gaps", start=4400)
         .poses([ms for ms in POSES if not (2000 < ms < 2800 or 4000 < ms < 4520 or 5000 < ms < 5500)])
         .scans(SCANS),
-        # Three scans wait for its first pose and get none; those of a second sensor come late, of before it.
+        # Three scans wait for its first pose, which is of a later time; those of a second sensor come late.
         Drive("latecomer", start=6600)
         .poses(POSES[75:])
         .scans(SCANS[27:])
@@ -98,10 +98,9 @@ def write_rough_log(path):
     write_jsonl(path, [message for _, message in messages])
     dropped = Counter(
         duplicate=DUPLICATES,
-        stale=STALE,
+        stale=STALE + sum(ms < POSES[75] for ms in SCANS[27:]),
         no_pose=WITHOUT_POSES
         + sum(2000 < ms < 2800 or 4000 < ms < 4520 for ms in SCANS)
-        + sum(ms < POSES[75] for ms in SCANS[27:])
         + sum(ms > POSES[-1] for ms in SCANS) * 4  # plain, mounted, gaps, latecomer
         + sum(ms > POSES[49] for ms in SCANS[:20]),
     )

@@ -3,24 +3,40 @@
 import math
 from bisect import bisect_left
 from collections import deque
-from itertools import pairwise
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.errors import NoPose
 from ogm_core.types import IDENTITY, Pose, Scan, Sweep
 
 CAPACITY = 1024
-MAX_GAP_NS = 500_000_000
-"""Poses farther apart than this say nothing about the time between them."""
+"""So many poses are kept at least, whatever their stamps."""
+SPAN_NS = 60_000_000_000
+"""Older poses than that are forgotten once there are more than CAPACITY."""
+MAX_KEPT = 65_536
+"""So many are kept at most."""
+POSE_GAP = 0.5
+"""Poses farther apart than that, s, say nothing about the time between them, unless told otherwise."""
+_NEAR_M = 0.01
+_NEAR_RAD = math.radians(0.5)
 
 
 class PoseHistory:
-    """The newest poses of one robot, in the order of their stamps (ns)."""
+    """The newest poses of one robot, in the order of their stamps (ns).
 
-    def __init__(self, capacity: int = CAPACITY) -> None:
-        self._stamps: deque[int] = deque(maxlen=capacity)
-        self._poses: deque[Pose] = deque(maxlen=capacity)
+    Between two poses more than `gap_ns` apart the robot may have been anywhere: nothing is said of that time,
+    unless the two are nearly equal. Nor is anything said by a pose whose stamp is ambiguous.
+    """
+
+    def __init__(self, gap_ns: float = POSE_GAP * 1e9, entries: Iterable[tuple[int, Pose]] = ()) -> None:
+        self._gap_ns = gap_ns
+        self._stamps: deque[int] = deque()
+        self._poses: deque[Pose] = deque()
+        self._ambiguous: set[int] = set()
+        for stamp, pose in entries:
+            self.append(stamp, pose)
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -35,68 +51,110 @@ class PoseHistory:
         """Stamp of the newest pose, ns."""
         return self._stamps[-1] if self._stamps else None
 
-    def append(self, stamp: int, pose: Pose) -> bool:
-        """Keep a pose; False, and nothing happens, if it is not later than the newest."""
-        if self._stamps and stamp <= self._stamps[-1]:
-            return False
+    @property
+    def newest_pose(self) -> Pose:
+        """The newest pose; there must be one."""
+        return self._poses[-1]
+
+    def append(self, stamp: int, pose: Pose) -> None:
+        """Keep a pose that is later than the newest, and forget the oldest ones if there are enough."""
         self._stamps.append(stamp)
         self._poses.append(pose)
-        return True
+        while len(self) > MAX_KEPT or (len(self) > CAPACITY and stamp - self._stamps[0] > SPAN_NS):
+            self._ambiguous.discard(self._stamps.popleft())
+            self._poses.popleft()
 
-    def at(self, stamp: int) -> Pose | None:
+    def doubt(self, stamp: int) -> None:
+        """Mark a kept stamp as ambiguous: another pose has it, too."""
+        self._ambiguous.add(stamp)
+
+    def at(self, stamp: int) -> Pose:
         """Pose at `stamp`: linear in x and y, along the shortest arc in theta.
 
-        An equal stamp gives that pose bit for bit. None if `stamp` lies outside of what is kept, or
-        between poses more than 0.5 s apart.
+        An equal stamp gives that pose bit for bit.
+
+        Raises:
+            NoPose: `stamp` lies outside of what is kept, or nothing can be said of it; the text says why.
         """
         after = bisect_left(self._stamps, stamp)
-        if after == len(self._stamps):
-            return None
-        if self._stamps[after] == stamp:
-            return self._poses[after]
-        if after == 0:
-            return None
-        t0, t1 = self._stamps[after - 1], self._stamps[after]
-        if t1 - t0 > MAX_GAP_NS:
-            return None
-        p0, p1 = self._poses[after - 1], self._poses[after]
+        if after == len(self._stamps) or (after == 0 and self._stamps[0] != stamp):
+            raise NoPose("its beams reach beyond the robot's poses that are kept")
+        t1, p1 = self._stamps[after], self._poses[after]
+        if t1 == stamp:
+            if stamp in self._ambiguous:
+                raise NoPose(_AMBIGUOUS)
+            return p1
+        t0, p0 = self._stamps[after - 1], self._poses[after - 1]
+        if (why_not := self._gap_between(t0, p0, t1, p1)) is not None:
+            raise NoPose(why_not)
         f = (stamp - t0) / (t1 - t0)
         return Pose(
             p0.x + f * (p1.x - p0.x), p0.y + f * (p1.y - p0.y), p0.theta + f * shorter_arc(p0.theta, p1.theta)
         )
 
-    def along(self, scan: Scan) -> Sweep | None:
+    def along(self, scan: Scan) -> Sweep:
         """The sensor's poses while `scan` swept, one a beam; each as `at` gives it, with the scan's mount.
 
-        None if one of them is not known.
+        Raises:
+            NoPose: one of them cannot be told.
         """
         first, last = sorted((scan.stamp, scan.end_stamp))
-        if self.oldest is None or self.newest is None or first < self.oldest or last > self.newest:
-            return None
+        self.at(first)
+        self.at(last)
         middle = self.at(scan.stamp + (scan.end_stamp - scan.stamp) // 2)
         base = self._at_each(scan.stamp, np.rint(np.arange(scan.ranges.size) * scan.time_increment * 1e9))
-        if middle is None or base is None:
-            return None
         return Sweep(middle.compose(scan.mount), _composed(base, scan.mount))
 
-    def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _gap_between(self, t0: int, p0: Pose, t1: int, p1: Pose) -> str | None:
+        """Why nothing is said of the time between two neighbours; None if they are joined."""
+        if t0 in self._ambiguous or t1 in self._ambiguous:
+            return _AMBIGUOUS
+        if t1 - t0 <= self._gap_ns or nearly_equal(p0, p1):
+            return None
+        return (
+            f"it lies between two poses {(t1 - t0) / 1e9:g} s apart, and mapper.pose_gap is "
+            f"{self._gap_ns / 1e9:g} s: publish poses more often, or raise mapper.pose_gap if the robot "
+            "drives straight on between two poses"
+        )
+
+    def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses, shape (N, 3), at `after` ns after `stamp`: times between the oldest and the newest pose."""
         first = max(0, bisect_left(self._stamps, stamp + int(after.min())) - 1)
         last = bisect_left(self._stamps, stamp + int(after.max()))
-        times = np.array([self._stamps[n] - stamp for n in range(first, last + 1)], np.float64)
+        stamps = [self._stamps[n] for n in range(first, last + 1)]
         poses = [self._poses[n] for n in range(first, last + 1)]
+        times = np.array([kept - stamp for kept in stamps], np.float64)
         nodes = np.array(poses)
         steps = np.zeros((len(poses), 3))
-        for n, (p0, p1) in enumerate(pairwise(poses)):
+        joined = np.ones(len(poses), np.bool_)  # to the next one
+        for n in range(len(poses) - 1):
+            p0, p1 = poses[n], poses[n + 1]
             steps[n] = p1.x - p0.x, p1.y - p0.y, shorter_arc(p0.theta, p1.theta)
+            joined[n] = self._gap_between(stamps[n], p0, stamps[n + 1], p1) is None
         upper = np.searchsorted(times, after)
         lower = np.maximum(upper - 1, 0)
         met = times[upper] == after
+        sure = np.array([kept not in self._ambiguous for kept in stamps])
+        told = np.where(met, sure[upper], joined[lower])
+        if not told.all():
+            self.at(stamp + int(after[np.argmin(told)]))  # says why not
         gap = times[upper] - times[lower]
-        if (gap > MAX_GAP_NS)[~met].any():
-            return None
         f = (after - times[lower]) / np.where(gap > 0.0, gap, 1.0)
         return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
+
+
+_AMBIGUOUS = (
+    "a pose beside it has the stamp of another, different pose, so nobody knows which one holds: give "
+    "every pose the time at which it was true, in ns"
+)
+
+
+def nearly_equal(one: Pose, other: Pose) -> bool:
+    """Whether two poses are within 1 cm and 0.5 degrees of each other."""
+    return (
+        math.hypot(other.x - one.x, other.y - one.y) <= _NEAR_M
+        and abs(shorter_arc(one.theta, other.theta)) <= _NEAR_RAD
+    )
 
 
 def shorter_arc(start: float, end: float) -> float:

@@ -4,21 +4,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol, cast
 
-from ogm_core.errors import ScanRefused
-from ogm_core.placing.pose_history import PoseHistory
+from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing.receipts import DropReason, Receipts
+from ogm_core.placing.robot_poses import RobotPoses, Verdict
+from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
+from ogm_core.placing.source import REPEATS_IN_A_ROW, Source
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
-MAX_WAITING = 64
-"""A scan waits for its pose until this many later ones of its sensor wait too."""
-_WHY: dict[DropReason, str] = {
-    "duplicate": "its seq is not above the last one of its run",
-    "no_pose": "the robot's poses do not cover its stamp",
-    "stale": "its stamp lies before the robot's oldest kept pose",
-}
+WAITING_NS = 60_000_000_000
+"""A scan waits for its pose until one of its sensor that is so much newer waits, too."""
+MAX_WAITING = 4096
+"""So many scans of a sensor wait at most, whatever their stamps."""
 
-Complain = Callable[[str, str], None]
-"""Told of a source, `<robot>/<sensor>`, and what was wrong with its message."""
+Complain = Callable[[str, str, str], None]
+"""Told of a source, `<robot>/<sensor>` or `<robot>/pose`, of the kind of trouble, and what was wrong."""
 
 
 class ScanSink(Protocol):
@@ -32,153 +31,268 @@ class ScanSink(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting:
+    """A scan that waits for its pose."""
+
+    sensor: str
+    scan: Scan
+    number: int
+    """Of the message, counted over all robots."""
+    handed: float
+    """When it came, s."""
+
+
 @dataclass(slots=True)
 class _Robot:
-    poses: PoseHistory = field(default_factory=PoseHistory)
-    runs: set[str] = field(default_factory=set)
-    """Every run that a pose has named."""
-    waiting: list[tuple[str, Scan]] = field(default_factory=list)
-    """(sensor, scan) in order of arrival, until a pose at or after its last beam arrives."""
-    last_seq: dict[tuple[str, str], int] = field(default_factory=dict)
-    """By (sensor, run)."""
-    heard: float = 0.0
+    """All that decides where the scans of one robot go."""
+
+    poses: RobotPoses
+    sources: dict[str, Source] = field(default_factory=dict)
+    waiting: list[_Waiting] = field(default_factory=list)
+    """In order of arrival, until a pose at or after its last beam arrives."""
+    pose_heard: float = 0.0
+    gone: set[str] = field(default_factory=set)
+    """Runs whose liveliness token was there and is no more."""
 
 
 class ScanPlacer:
     """Places scans by their robots' poses and hands them on in the order in which they become ready.
 
-    One thread calls it. No decision reads a clock: `expire` is told the time. The same messages in the same
-    order give the same calls to the sink.
+    One thread calls it. No decision reads a clock: times of arrival, `now`, are told, and matter to `expire`
+    alone. The same messages in the same order give the same calls to the sink.
 
     An error that the sink does not mean, a bug, is counted as its scan's `failed` and raised to the caller,
     once every other scan that was ready is placed.
     """
 
-    def __init__(self, sink: ScanSink, receipts: Receipts, complain: Complain) -> None:
+    def __init__(
+        self, sink: ScanSink, receipts: Receipts, complain: Complain, rules: PlacingRules = DEFAULT_RULES
+    ) -> None:
         self._sink = sink
         self._receipts = receipts
         self._complain = complain
+        self._rules = rules
         self._robots: dict[str, _Robot] = {}
+        self._messages = 0
 
-    def add_pose(self, name: str, message: PoseStamped) -> None:
+    def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
+        self._messages += 1
         robot = self._robot(name)
-        if message.run not in robot.runs:
-            robot.runs.add(message.run)
-            self._give_up(name, robot)
-            robot.poses = PoseHistory()
-        if not robot.poses.append(message.stamp, message.pose):
-            self._receipts.pose_noted("late")
+        sources = robot.sources.values()
+        poses = robot.poses
+        anew = any(source.step_at is not None for source in sources)
+        verdict = poses.add(message, anew=anew, released=poses.owner in robot.gone)
+        if verdict.note is not None:
+            self._receipts.pose_noted(verdict.note)
+        if verdict.said:
+            self._complain(f"{name}/pose", verdict.kind, verdict.said)
+        if verdict.note != "superseded":
+            robot.pose_heard = now
+        if not verdict.taken:
             return
-        self._receipts.located(name, message.stamp, message.pose)
-        waiting, robot.waiting = robot.waiting, []
-        bugs = []
-        for sensor, scan in waiting:
-            if _ready_at(scan) <= message.stamp:
-                try:
-                    self._place(name, robot, sensor, scan)
-                except Exception as bug:  # noqa: BLE001 (raised below)
-                    bugs.append(bug)
-            else:
-                robot.waiting.append((sensor, scan))
-        if bugs:
-            raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
+        if verdict.began is not None:
+            self._begin(name, robot, verdict)
+        if poses.history.newest == message.stamp:
+            self._receipts.located(name, message.stamp, message.pose)
+        for source in sources:
+            source.holds = False
+        self._look_again(name, robot)
 
-    def add_scan(self, name: str, sensor: str, scan: Scan) -> None:
+    def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
+        self._messages += 1
         robot = self._robot(name)
+        source = robot.sources.setdefault(sensor, Source())
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
-        if self._is_duplicate(robot, sensor, scan):
-            self._drop(name, sensor, "duplicate")
-        elif scan.pose is not None:
+        if source.seen(scan):
+            self._drop(name, sensor, "duplicate", _REPEATED if source.repeats(scan) else _SEEN)
+            return
+        if scan.pose is not None:
+            source.number(scan)
             self._receipts.located(name, scan.stamp, scan.pose)
             self._place(name, robot, sensor, scan)
-        elif robot.poses.newest is not None and _ready_at(scan) <= robot.poses.newest:
-            self._place(name, robot, sensor, scan)
-        elif robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
-            self._drop(name, sensor, "stale")
+            return
+        owner = self._replaced_by(robot, source, scan.run)
+        if owner is not None:
+            source.number(scan)
+            self._drop(name, sensor, "superseded", _SUPERSEDED.format(scan.run, owner))
+            return
+        back = source.take(scan, self._messages, robot.poses.histories)
+        source.number(scan)
+        if back:
+            self._complain(f"{name}/{sensor}", "stepped back", _STEPPED.format(back / 1e9))
+            stepped = "the clock of its sensor had gone back before its pose came"
+            self._give_up(name, robot, stepped, lambda item: item.sensor == sensor)
+        item = _Waiting(sensor, scan, self._messages, now)
+        if source.holds:
+            robot.waiting.append(item)
         else:
-            robot.waiting.append((sensor, scan))
+            self._try(name, robot, item)
+        if robot.waiting and robot.waiting[-1] is item:
             self._limit_waiting(name, robot, sensor)
 
-    def heard(self, name: str, now: float) -> None:
-        """Note that any message of a robot has arrived, at `now`, s."""
-        self._robot(name).heard = now
+    def robot_here(self, name: str, run: str) -> None:
+        """Note that the liveliness token of a robot's run is there."""
+        self._robot(name).gone.discard(run)
+        self._receipts.robot_alive(name, run, True)
 
-    def expire(self, now: float, pose_wait: float) -> None:
-        """Drop the waiting scans of every robot that was not heard for `pose_wait` seconds."""
+    def robot_gone(self, name: str, run: str) -> None:
+        """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
+        robot = self._robot(name)
+        known = {robot.poses.owner, *(source.run for source in robot.sources.values())}
+        robot.gone = (robot.gone & known) | ({run} & known)
+        self._receipts.robot_alive(name, run, False)
+
+    def expire(self, now: float) -> None:
+        """Drop every scan that has waited for longer than a scan may, as has its robot for a pose."""
+        wait = self._rules.pose_wait
         for name, robot in self._robots.items():
-            if robot.waiting and now - robot.heard > pose_wait:
-                self._give_up(name, robot)
+            if robot.waiting and now - robot.pose_heard > wait:
+                why = (
+                    f"no pose at or after its last beam came within mapper.pose_wait = {wait:g} s: does "
+                    "the robot publish poses, under this robot's name, and while it stands, too? Do their "
+                    "stamps come from the same clock?"
+                )
+                self._give_up(name, robot, why, lambda item: now - item.handed > wait)
 
     def finish(self) -> None:
         """Drop every waiting scan: no pose will come any more."""
         for name, robot in self._robots.items():
-            self._give_up(name, robot)
+            self._give_up(name, robot, "no pose at or after its last beam has come, and none will")
 
     def _robot(self, name: str) -> _Robot:
         robot = self._robots.get(name)
         if robot is None:
-            robot = self._robots[name] = _Robot()
+            robot = self._robots[name] = _Robot(RobotPoses(self._rules))
         return robot
 
     @staticmethod
-    def _is_duplicate(robot: _Robot, sensor: str, scan: Scan) -> bool:
-        if scan.run == "":
-            return False
-        last = robot.last_seq.get((sensor, scan.run), -1)
-        if scan.seq <= last:
-            return True
-        robot.last_seq[sensor, scan.run] = scan.seq
-        return False
+    def _replaced_by(robot: _Robot, source: Source, run: str) -> str | None:
+        """The run that has replaced a scan's run as its robot's or its source's; None if none has."""
+        poses = robot.poses
+        if run in poses.replaced and poses.owner not in robot.gone:
+            return poses.owner
+        if run in source.replaced and source.run not in robot.gone:
+            return source.run
+        return None
+
+    def _begin(self, name: str, robot: _Robot, verdict: Verdict) -> None:
+        """Drop what waits for poses of the history that has ended."""
+        owner, sources = robot.poses.owner, robot.sources
+
+        def is_of_before(item: _Waiting) -> bool:
+            if verdict.new_owner:
+                return item.scan.run != owner
+            step_at = sources[item.sensor].step_at
+            return step_at is None or item.number < step_at
+
+        self._give_up(name, robot, f"{verdict.began} before its pose came", is_of_before)
+        for source in sources.values():
+            source.step_at = None
+
+    def _look_again(self, name: str, robot: _Robot) -> None:
+        """Try every scan that waits, in order of arrival."""
+        waiting, robot.waiting = robot.waiting, []
+        bugs = []
+        for item in waiting:
+            try:
+                self._try(name, robot, item)
+            except Exception as bug:  # noqa: BLE001 (raised below)
+                bugs.append(bug)
+        if bugs:
+            raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
+
+    def _try(self, name: str, robot: _Robot, item: _Waiting) -> None:
+        """Place a scan that is ready, drop one that will never be, let the others wait."""
+        scan, history, newest = item.scan, robot.poses.history, robot.poses.newest
+        if history.newest is None or newest is None:
+            robot.waiting.append(item)
+        elif scan.stamp - newest > self._rules.pose_wait * 1e9:
+            ahead = _AHEAD.format((scan.stamp - newest) / 1e9, self._rules.pose_wait)
+            self._drop(name, item.sensor, "no_pose", ahead)
+        elif max(scan.stamp, scan.end_stamp) <= history.newest or scan.stamp < cast(int, history.oldest):
+            self._place(name, robot, item.sensor, scan)
+        else:
+            robot.waiting.append(item)
 
     def _limit_waiting(self, name: str, robot: _Robot, sensor: str) -> None:
-        mine = [index for index, item in enumerate(robot.waiting) if item[0] == sensor]
-        if len(mine) > MAX_WAITING:
-            del robot.waiting[mine[0]]
-            self._drop(name, sensor, "no_pose")
+        """Give up those scans of a sensor that wait while much newer ones do, or too many."""
+        mine = [item for item in robot.waiting if item.sensor == sensor]
+        newest = max(item.scan.stamp for item in mine)
+        oldest_number = mine[-MAX_WAITING:][0].number
+        self._give_up(
+            name,
+            robot,
+            "no pose has come for it, and newer scans of its sensor wait, too",
+            lambda item: (
+                item.sensor == sensor
+                and (newest - item.scan.stamp > WAITING_NS or item.number < oldest_number)
+            ),
+        )
 
-    def _give_up(self, name: str, robot: _Robot) -> None:
-        waiting, robot.waiting = robot.waiting, []
-        for sensor, _ in waiting:
-            self._drop(name, sensor, "no_pose")
+    def _give_up(
+        self, name: str, robot: _Robot, why: str, which: Callable[[_Waiting], bool] = lambda _: True
+    ) -> None:
+        """Drop those of the waiting scans that `which` chooses."""
+        kept = []
+        for item in robot.waiting:
+            if which(item):
+                self._drop(name, item.sensor, "no_pose", why)
+            else:
+                kept.append(item)
+        robot.waiting = kept
 
     def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
         try:
-            if scan.pose is None:
-                self._place_by_poses(name, robot, sensor, scan)
-            else:
-                self._integrate(name, sensor, scan, scan.pose)
+            pose, sweep = self._pose_of(robot, scan)
+            self._sink.integrate(scan, pose.compose(scan.mount), sweep)
+        except ScanRefused as refusal:
+            self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         except Exception:
             self._receipts.scan_dropped(name, sensor, "failed")
             raise
-
-    def _place_by_poses(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
-        """Integrate a scan whose poses have all arrived, at the base pose of its stamp."""
-        if robot.poses.oldest is not None and scan.stamp < robot.poses.oldest:
-            self._drop(name, sensor, "stale")
-            return
-        pose = robot.poses.at(scan.stamp)
-        sweep = None if scan.time_increment == 0.0 else robot.poses.along(scan)
-        if pose is None or (sweep is None and scan.time_increment != 0.0):
-            self._drop(name, sensor, "no_pose")
-        else:
-            self._integrate(name, sensor, scan, pose, sweep)
-
-    def _integrate(self, name: str, sensor: str, scan: Scan, base: Pose, sweep: Sweep | None = None) -> None:
-        try:
-            self._sink.integrate(scan, base.compose(scan.mount), sweep)
-        except ScanRefused as refusal:
-            self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         else:
             self._receipts.scan_integrated(name, sensor)
 
-    def _drop(self, name: str, sensor: str, reason: DropReason, why: str = "") -> None:
+    @staticmethod
+    def _pose_of(robot: _Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
+        """Base pose of a scan whose poses have all arrived; sensor poses of its beams if they differ in time.
+
+        Raises:
+            NoPose: the poses do not tell.
+            Stale: they begin later.
+        """
+        if scan.pose is not None:
+            return scan.pose, None
+        history = robot.poses.history
+        if scan.stamp < cast(int, history.oldest):
+            raise Stale("its stamp lies before the robot's oldest kept pose")
+        sweep = None if scan.time_increment == 0.0 else history.along(scan)
+        return history.at(scan.stamp), sweep
+
+    def _drop(self, name: str, sensor: str, reason: DropReason, why: str) -> None:
         self._receipts.scan_dropped(name, sensor, reason)
-        self._complain(f"{name}/{sensor}", f"a scan is dropped: {why or _WHY[reason]}")
+        self._complain(f"{name}/{sensor}", reason, f"a scan is dropped ({reason}): {why}")
 
 
-def _ready_at(scan: Scan) -> int:
-    """Stamp that a pose must have reached before the scan can be placed, ns."""
-    return max(scan.stamp, scan.end_stamp)
+_SEEN = "a scan of this run and seq has come before"
+_REPEATED = (
+    f"{REPEATS_IN_A_ROW} scans in a row have the run and seqs of scans before, with new stamps: the run's "
+    "numbering has begun anew. Give each start of a publisher a run of its own"
+)
+_SUPERSEDED = (
+    "run {!r} was replaced by run {!r}: two publishers under one name? Give every robot a name of its own"
+)
+_STEPPED = (
+    "the clock of this sensor went back by {:g} s: its scans wait for the robot's next pose, with which a "
+    "new history begins. If the poses' clock did not go back, set both from one clock, or give the sensor "
+    "a time_offset"
+)
+_AHEAD = (
+    "its stamp is {:g} s ahead of the robot's newest pose, more than mapper.pose_wait = {:g} s: send poses while "
+    "the robot stands, too (AMCL does not), and let poses and scans have their stamps from one clock, or give "
+    "the sensor a time_offset"
+)

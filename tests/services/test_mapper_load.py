@@ -150,14 +150,17 @@ def blocked(start_mapper, no_errors, in_background):
             release.set()
 
 
+PERIOD = 100_000_000
+
+
 def test_overload_takes_the_oldest_scans_of_the_fullest_source_and_no_pose(blocked, eventually):
     mapper, release = blocked
     for at in range(30):
-        mapper.pose(x=float(at), at=at, robot="a")
-        mapper.scan([1.0], at=at, robot="a", run="1", seq=at)
+        mapper.pose(x=float(at), at=at * PERIOD, robot="a")
+        mapper.scan([1.0], at=at * PERIOD, robot="a", run="1", seq=at)
         if at < 20:
-            mapper.pose(y=float(at), at=at, robot="b")
-            mapper.scan([1.0], at=at, robot="b", run="1", seq=at)
+            mapper.pose(y=float(at), at=at * PERIOD, robot="b")
+            mapper.scan([1.0], at=at * PERIOD, robot="b", run="1", seq=at)
     full = eventually(lambda: (status := mapper.status())["scans"]["received"] == 50 and status)
     assert full["scans"]["dropped"]["overload"] == 42
     assert (full["scans"]["pending"], full["scans"]["integrated"]) == (8, 0)

@@ -17,7 +17,7 @@ from ogm_core.types import Pose, PoseStamped, Scan
 
 def test_a_scan_gets_the_pose_at_its_stamp():
     desk = Desk().pose(0, Pose(0, 0, 3.0)).pose(400, Pose(4, -2, -3.0))
-    desk.scan(100).scan(400).scan(0)
+    desk.scan(100).scan(400).scan(0, sensor="other")
     turn = 2 * math.pi - 6.0
     assert desk.sink.placed[0] == (0, pytest.approx((1.0, -0.5, 3.0 + turn / 4)))
     assert desk.sink.placed[1:] == [(1, Pose(4, -2, -3.0)), (2, Pose(0, 0, 3.0))]
@@ -58,10 +58,10 @@ def test_a_sweep_that_runs_backwards_in_time_is_ready_at_its_stamp():
 
 def test_scans_go_in_as_they_become_ready_and_in_order_of_arrival_at_one_message():
     desk = Desk().pose(0)
-    desk.scan(300).scan(100).scan(200).scan(90)
+    desk.scan(300, sensor="a").scan(100, sensor="b").scan(200, sensor="b").scan(90, sensor="c")
     desk.pose(150)
     assert desk.order == [1, 3]
-    desk.scan(40)
+    desk.scan(40, sensor="d")
     assert desk.order == [1, 3, 4]
     desk.pose(400)
     assert desk.order == [1, 3, 4, 0, 2]
@@ -87,8 +87,8 @@ def test_a_scan_with_its_own_pose_needs_no_history():
 def test_robots_do_not_share_their_poses():
     desk = Desk().pose(0, robot="a").pose(0, robot="b").scan(10, robot="b").pose(100, robot="a")
     assert (desk.order, desk.pending) == ([], 1)
-    desk.pose(10, Pose(7, 7, 7), robot="b")
-    assert desk.sink.placed == [(0, Pose(7, 7, 7))]
+    desk.pose(10, Pose(0.05, 0.05, 0.1), robot="b")
+    assert desk.sink.placed == [(0, Pose(0.05, 0.05, 0.1))]
 
 
 def test_a_scan_with_its_own_pose_passes_those_that_wait():

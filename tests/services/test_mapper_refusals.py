@@ -6,12 +6,12 @@ import msgpack
 import numpy as np
 import pytest
 
-from ogm_core.placing.scan_placer import MAX_WAITING
 from status_json import NO_POSES
 
 INF, NAN = math.inf, math.nan
 HERE = [0.0, 0.0, 0.0]
 LAST = 2**63 - 1
+SECOND = 1_000_000_000
 
 
 def changed(status, before, *, integrated=0, **dropped):
@@ -98,57 +98,58 @@ def test_waiting_scans_are_given_up_while_other_robots_keep_the_mapper_busy(soun
     eventually(given_up)
 
 
-def test_waiting_scans_stay_while_their_robot_is_heard(start_mapper, no_errors, eventually):
-    with start_mapper(mapper={"pose_wait": 60.0}) as mapper:
+def test_scans_wait_as_long_as_pose_wait_says(start_mapper, no_errors, eventually):
+    with start_mapper(mapper={"pose_wait": 70.0}) as mapper:
         mapper.pose(at=0)
-        for seq in range(MAX_WAITING + 1):
-            mapper.scan([1.0], at=100 + seq, seq=seq)
+        for seq, second in enumerate((1, 2, 61, 62)):
+            mapper.scan([1.0], at=second * SECOND, seq=seq)
+        # The newest is 60 s newer than the two first ones.
         eventually(lambda: mapper.status()["scans"]["dropped"]["no_pose"] == 1)
-        assert mapper.status()["scans"]["pending"] == MAX_WAITING
-        mapper.pose(at=1000)
-        status = mapper.settle(received=MAX_WAITING + 1)
-        assert status["scans"]["integrated"] == MAX_WAITING
+        assert mapper.status()["scans"]["pending"] == 3
+        mapper.pose(at=62 * SECOND)
+        status = mapper.settle(received=4)
+        assert status["scans"]["integrated"] == 3
 
 
 def test_time_and_order(sound):
     ms = 1_000_000
     before = sound.status()
-    for at in (1000, 1100, 1050, 1100):
+    for at in (1000, 1100, 1075, 1100):
         sound.pose(at=at * ms, robot="t")
-    sound.scan([1.0], robot="t", at=999 * ms)  # stale
+    sound.scan([1.0], robot="t", sensor="old", at=999 * ms)  # stale
     sound.scan([1.0], robot="t", at=1099 * ms, run="a", seq=5)
-    sound.scan([1.0], robot="t", at=1001 * ms, run="a", seq=6)  # older, but later in seq: fine
+    sound.scan([1.0], robot="t", at=1051 * ms, run="a", seq=6)  # older, but later in seq: fine
     sound.scan([1.0], robot="t", at=1099 * ms, run="a", seq=6)  # twice
-    sound.scan([1.0], robot="t", at=1099 * ms, run="a", seq=4)  # out of order
-    sound.scan([1.0], robot="t", at=1099 * ms)  # without a run there is no duplicate
-    sound.scan([1.0], robot="t", at=1099 * ms)
-    sound.pose(at=1700 * ms, robot="t")
-    sound.scan([1.0], robot="t", at=1400 * ms)  # in a gap of more than 0.5 s
+    sound.scan([1.0], robot="t", at=1099 * ms, run="a", seq=4)  # overtaken
+    sound.scan([1.0], robot="t", sensor="s2", at=1099 * ms)  # without a run there is no duplicate
+    sound.scan([1.0], robot="t", sensor="s2", at=1099 * ms)
+    sound.pose(at=1700 * ms, robot="t", x=1.0)
+    sound.scan([1.0], robot="t", sensor="s3", at=1400 * ms)  # in a gap of more than 0.5 s
     status = sound.settle(received=11)
-    changed(status, before, integrated=4, stale=1, duplicate=2, no_pose=1)
+    changed(status, before, integrated=5, stale=1, duplicate=1, no_pose=1)
     assert status["poses"] == NO_POSES | {"received": 5, "malformed": 0, "late": 2}
 
 
 def test_the_largest_seq_and_stamp(sound):
     before = sound.status()
     sound.scan([1.0], robot="t", pose=HERE, stamp=LAST, seq=LAST, run="a", time_increment=1e9)
-    sound.scan([1.0], robot="t", pose=HERE, stamp=0, seq=0, run="a")
+    sound.scan([1.0], robot="t", pose=HERE, stamp=0, seq=LAST, run="a")
     sound.scan([1.0, 1.0], robot="t", stamp=LAST, seq=0, run="b", time_increment=1e290)
     sound.put("robots/t/pose", msgpack.packb({"stamp": LAST, "seq": LAST, "x": 0, "y": 0, "theta": 0}))
-    sound.pose(robot="t", at=0)
+    sound.pose(robot="t", at=0)  # its clock has gone back
     sound.scan([1.0], robot="t", stamp=LAST)
     status = sound.settle(received=7)
-    changed(status, before, integrated=2, duplicate=1, no_pose=1)
-    assert status["poses"]["late"] == 1
-    assert (status["stamp"], status["robots"]["t"]["stamp"]) == (LAST, LAST)
+    changed(status, before, integrated=1, duplicate=1, no_pose=2)
+    assert status["poses"]["restarted"] == 1
+    assert (status["stamp"], status["robots"]["t"]["stamp"]) == (LAST, 1_700_000_000_000_000_000)
     sound.pose(robot="t", at=0, run="new")  # a new run is a new history
-    sound.scan([1.0], robot="t", at=0)
+    sound.scan([1.0], robot="t", sensor="new", at=0, run="new")
     assert sound.settle(received=8)["revision"] == status["revision"] + 1
 
 
-def test_poses_that_are_too_far_apart_for_float64(sound):
-    before = sound.status()
-    for at, x in ((0, -1.7e308), (100, 1.7e308)):
-        sound.pose(x, x, x, at=at, robot="t")
-    sound.scan([1.0], robot="t", at=50)
-    changed(sound.settle(received=4), before, limit=1)
+def test_poses_that_are_too_far_apart_for_float64(start_mapper, no_errors):
+    with start_mapper(mapper={"max_speed": "inf", "max_turn_rate": "inf"}) as mapper:
+        for at, x in ((0, -1.7e308), (100, 1.7e308)):
+            mapper.pose(x, x, x, at=at, robot="t")
+        mapper.scan([1.0], robot="t", at=50)
+        assert mapper.settle(received=1)["scans"]["dropped"]["limit"] == 1

@@ -9,12 +9,16 @@ from mapper_desk import MS, T0, Desk
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan
 
+FAST = {"max_speed": math.inf, "max_turn_rate": math.inf}
+"""A robot that moves as it likes."""
+
 
 def test_every_beam_gets_the_pose_of_its_time():
-    desk = Desk().pose(0, Pose(0, 0, 0)).pose(20, Pose(2, 0, 1)).pose(40, Pose(2, 4, 1))
+    desk = Desk(**FAST).pose(0, Pose(0, 0, 0)).pose(20, Pose(2, 0, 1)).pose(40, Pose(2, 4, 1))
     desk.scan(10, beams=3, time_increment=0.01)
     assert desk.sink.placed == [(0, Pose(1, 0, 0.5))]
     sweep = desk.sink.sweeps[0]
@@ -23,7 +27,7 @@ def test_every_beam_gets_the_pose_of_its_time():
 
 
 def test_the_mount_goes_along():
-    desk = Desk().pose(0, Pose(0, 0, 0)).pose(20, Pose(0, 0, math.pi / 2))
+    desk = Desk(**FAST).pose(0, Pose(0, 0, 0)).pose(20, Pose(0, 0, math.pi / 2))
     desk.scan(0, beams=2, time_increment=0.02, mount=Pose(1, 0, 0.25))
     assert desk.sink.sweeps[0].beams == pytest.approx(np.array([[1, 0, 0.25], [0, 1, math.pi / 2 + 0.25]]))
     assert desk.sink.sweeps[0].middle[2] == pytest.approx(math.pi / 4 + 0.25)
@@ -42,6 +46,15 @@ def test_a_gap_between_poses_anywhere_in_the_sweep_is_no_pose():
     assert (desk.order, desk.dropped) == ([], {"no_pose": 1})
     desk.scan(50, beams=2, time_increment=0.05)
     assert desk.order == [1]
+
+
+def test_an_ambiguous_pose_anywhere_in_the_sweep_is_no_pose():
+    desk = Desk().pose(0).pose(20).pose(20, Pose(1, 0, 0)).pose(40).pose(60).pose(80)
+    desk.scan(10, beams=6, time_increment=0.01)  # one at 20 ms
+    desk.scan(10, beams=2, time_increment=0.05)  # one between 20 and 40 ms
+    desk.scan(40, beams=3, time_increment=0.02)
+    assert (desk.order, desk.dropped) == ([2], {"no_pose": 2})
+    assert "has the stamp of another, different pose" in desk.complaints[-1][2]
 
 
 def test_a_sweep_that_ends_before_the_oldest_pose_is_no_pose_and_one_that_begins_there_stale():
@@ -68,7 +81,7 @@ def test_a_map_of_sweeps_is_that_of_their_beams_one_by_one():
     maps = []
     for split in (False, True):
         grid = OccupancyGrid(GridSettings(0.1))
-        mapper = ScanPlacer(grid, Receipts(), lambda *_: None)
+        mapper = ScanPlacer(grid, Receipts(), lambda *_: None, PlacingRules(**FAST))
         for n in range(8):
             mapper.add_pose("r", PoseStamped(T0 + 20 * n * MS, Pose(n * 0.2, n * n * 0.05, n * 0.3)))
         ranges = np.linspace(1, 6, 12, dtype=np.float32)

@@ -5,7 +5,6 @@ are held against it, to judge how well it agrees with them: from memory, or in a
 is too large for that.
 """
 
-import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +27,7 @@ from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import check_place, write_map
-from ogm_services.runtime.limited_log import LimitedLog
+from ogm_services.runtime.complaints import Complaints
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
@@ -80,12 +79,17 @@ def run_build(
     first = _MapPass(grid)
     receipts = Receipts()
     with reader() as messages:
-        _feed(messages, first, receipts, hold_out, "mapping")
+        complaints = Complaints()
+        placer = ScanPlacer(first, receipts, complaints.add, settings.placing_rules())
+        _feed(messages, first, placer, receipts, hold_out, "mapping")
     snapshot = grid.snapshot()
     report = _report(messages, receipts, first)
     if snapshot.empty or not grid.cell_updates:
-        raise MapEmpty(f"{log}: no scan changed the map ({report})")
-    quality = _judged(reader, snapshot, first, hold_out)
+        why = "; ".join(complaints.lines()[:1])
+        raise MapEmpty(f"{log}: no scan changed the map ({report}){why and f'; {why}'}")
+    for line in complaints.lines():
+        typer.echo(line, err=True)
+    quality = _judged(reader, snapshot, first, hold_out, settings)
     if true_world is not None:
         quality["truth"] = truth_figures(snapshot, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
@@ -169,10 +173,14 @@ class _JudgePass(_Pass):
 
 
 def _feed(
-    messages: RecordingReader, sink: _Pass, receipts: Receipts, hold_out: int | None, text: str
+    messages: RecordingReader,
+    sink: _Pass,
+    placer: ScanPlacer,
+    receipts: Receipts,
+    hold_out: int | None,
+    text: str,
 ) -> None:
-    """Send a log through a scan placer, up to and including what waits for poses at its end."""
-    placer = ScanPlacer(sink, receipts, LimitedLog(logging.getLogger(__name__)).warning)
+    """Send a log through the scan placer of a sink, up to and including what waits for poses at its end."""
     index = 0
     with progress_bar(text, messages.size) as show:
         for message in messages:
@@ -192,14 +200,20 @@ def _feed(
 
 
 def _judged(
-    reader: Callable[[], RecordingReader], snapshot: MapSnapshot, first: _MapPass, hold_out: int | None
+    reader: Callable[[], RecordingReader],
+    snapshot: MapSnapshot,
+    first: _MapPass,
+    hold_out: int | None,
+    settings: Settings,
 ) -> dict[str, Any]:
     """The figures of a finished map."""
     grid = first.grid
     consistency = Consistency(snapshot, grid.settings)
     if first.kept.scans is None:
         with reader() as messages:
-            _feed(messages, _JudgePass(consistency, iter(first.accepted)), Receipts(), hold_out, "judging")
+            second, receipts = _JudgePass(consistency, iter(first.accepted)), Receipts()
+            placer = ScanPlacer(second, receipts, lambda *_: None, settings.placing_rules())
+            _feed(messages, second, placer, receipts, hold_out, "judging")
     else:
         with progress_bar("judging", len(first.kept.scans)) as show:
             for done, placed in enumerate(first.kept.scans, 1):

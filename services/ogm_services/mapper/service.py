@@ -122,9 +122,9 @@ class MapperService:
         self._grid_settings = grid.settings
         self.live_map = LiveMap(grid)
         receipts, queue = Receipts(), ScanQueue(limits.queue)
-        placer = ScanPlacer(self.live_map, receipts, LimitedLog(log).warning)
+        placer = ScanPlacer(self.live_map, receipts, LimitedLog(log).of_kind, settings.placing_rules())
         self._queue, self._receipts = queue, receipts
-        self._worker = Worker(queue, placer, receipts, max_beams=limits.max_beams, pose_wait=limits.pose_wait)
+        self._worker = Worker(queue, placer, receipts, max_beams=limits.max_beams)
         self._monitor = Monitor(self.live_map)
         self._ready = threading.Event()
         self.answers = Answers(

@@ -10,7 +10,7 @@ MAX_SOURCES = 1000
 
 
 class LimitedLog:
-    """Logs the first complaint of a source in every period, and how many like it were passed over."""
+    """Logs the first complaint of a source, or kind, in every period, and how many more there were."""
 
     def __init__(self, log: logging.Logger, period: float = PERIOD) -> None:
         self._log = log
@@ -21,6 +21,12 @@ class LimitedLog:
     def warning(self, source: str, text: str) -> None:
         """Log `text` about `source`, unless it was complained about just now."""
         line = self._due(source, f"{source}: {text}")
+        if line is not None:
+            self._log.warning("%s", line)
+
+    def of_kind(self, source: str, kind: str, text: str) -> None:
+        """Log `text` about `source`, unless there was a complaint of that kind about it just now."""
+        line = self._due(f"{source}: {kind}", f"{source}: {text}")
         if line is not None:
             self._log.warning("%s", line)
 

@@ -27,6 +27,7 @@ from ogm_core.grid_settings import (
     Traversal,
 )
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
+from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
 from ogm_services.settings.values import (
     NONE,
@@ -36,6 +37,7 @@ from ogm_services.settings.values import (
     Finite,
     NotNegative,
     Positive,
+    PositiveOrInfinite,
     Preset,
     Probability,
     WholeNumber,
@@ -127,7 +129,8 @@ class MapperSettings(_Section):
     """The mapper's limits, and what its map starts with.
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_beams` of one scan,
-    `pose_wait` in seconds without a message from a robot, `queue` in scans. `start_map` is the YAML file
+    `queue` in scans. `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
+    `PlacingRules`. `start_map` is the YAML file
     of a ROS map, a relative path starts at the working folder; `start_confidence` the probability that its
     occupied cells are occupied, and its free ones free.
     """
@@ -135,7 +138,10 @@ class MapperSettings(_Section):
     max_cells: Count = DEFAULT_MAX_CELLS
     max_bytes: Count = DEFAULT_MAX_BYTES
     max_beams: Count = 200_000
-    pose_wait: NotNegative = 2.0
+    pose_wait: NotNegative = DEFAULT_RULES.pose_wait
+    pose_gap: Positive = DEFAULT_RULES.pose_gap
+    max_speed: PositiveOrInfinite = DEFAULT_RULES.max_speed
+    max_turn_rate: PositiveOrInfinite = DEFAULT_RULES.max_turn_rate
     queue: Count = 4096
     start_map: Annotated[FilePath | None, NONE] = None
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
@@ -179,6 +185,11 @@ class Settings(BaseModel):
             max_cells=self.mapper.max_cells,
             max_bytes=self.mapper.max_bytes,
         )
+
+    def placing_rules(self) -> PlacingRules:
+        """What is believed of poses and scans."""
+        limits = self.mapper
+        return PlacingRules(limits.pose_gap, limits.pose_wait, limits.max_speed, limits.max_turn_rate)
 
     def to_yaml(self) -> str:
         """Every setting that was given, as a file from which `load_settings` makes equal settings."""

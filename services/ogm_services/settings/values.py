@@ -76,6 +76,7 @@ NONE = BeforeValidator(_none_from_text)
 """Beside a type that allows None: the text "none" means it, too."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Finite, Field(gt=0.0)]
+PositiveOrInfinite = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[Finite, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]

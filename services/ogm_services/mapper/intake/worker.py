@@ -24,14 +24,11 @@ log = logging.getLogger(__name__)
 class Worker:
     """Owns the scan placer, and through it the map's writing side. Started once, stopped once."""
 
-    def __init__(
-        self, queue: ScanQueue, placer: ScanPlacer, receipts: Receipts, *, max_beams: int, pose_wait: float
-    ) -> None:
+    def __init__(self, queue: ScanQueue, placer: ScanPlacer, receipts: Receipts, *, max_beams: int) -> None:
         self._queue = queue
         self._placer = placer
         self._receipts = receipts
         self._max_beams = max_beams
-        self._pose_wait = pose_wait
         self._complaints = LimitedLog(log)
         self._bugs = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name="ogm-worker")
@@ -86,7 +83,7 @@ class Worker:
             if now - looked >= LOOK_PERIOD:
                 looked = now
                 with self._surviving("a look for silent robots"):
-                    self._placer.expire(now, self._pose_wait)
+                    self._placer.expire(now)
             if item is not None:
                 self._work_on(item)
 
@@ -98,11 +95,10 @@ class Worker:
             robot, sensor = item.source
             with self._surviving(f"a message of {robot}/{sensor or 'pose'}"):
                 self._receipts.heard(robot, item.arrival)
-                self._placer.heard(robot, item.arrival)
                 if sensor is None:
-                    self._take_pose(robot, item.payload)
+                    self._take_pose(robot, item)
                 else:
-                    self._take_scan(robot, sensor, item.payload)
+                    self._take_scan(robot, sensor, item)
 
     @contextmanager
     def _surviving(self, what: str) -> Iterator[None]:
@@ -112,20 +108,20 @@ class Worker:
         except Exception:  # noqa: BLE001 (logged with its traceback)
             self._bugs.failure(what)
 
-    def _take_pose(self, robot: str, payload: bytes) -> None:
+    def _take_pose(self, robot: str, item: Message) -> None:
         """Decode a pose and hand it to the placer; a bad one is counted."""
         try:
-            message = decode_pose(payload)
+            message = decode_pose(item.payload)
         except BadMessage as error:
             self._receipts.pose_noted("malformed")
             self._complaints.warning(f"{robot}/pose", str(error))
         else:
-            self._placer.add_pose(robot, message)
+            self._placer.add_pose(robot, message, item.arrival)
 
-    def _take_scan(self, robot: str, sensor: str, payload: bytes) -> None:
+    def _take_scan(self, robot: str, sensor: str, item: Message) -> None:
         """Decode a scan and hand it to the placer; a bad one is counted."""
         try:
-            scan = decode_scan(payload, max_beams=self._max_beams)
+            scan = decode_scan(item.payload, max_beams=self._max_beams)
         except BadMessage as error:
             self._receipts.scan_dropped(robot, sensor, "malformed")
             self._complaints.warning(f"{robot}/{sensor}", str(error))
@@ -133,4 +129,4 @@ class Worker:
             self._receipts.scan_dropped(robot, sensor, "failed")
             raise
         else:
-            self._placer.add_scan(robot, sensor, scan)
+            self._placer.add_scan(robot, sensor, scan, item.arrival)

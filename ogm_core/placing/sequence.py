@@ -1,0 +1,68 @@
+"""Sequence numbers of the messages of one run: which were seen already."""
+
+from bisect import bisect_right
+
+MAX_STEP = 1_000_000
+"""A seq farther above the last is no gap: it may be a wrong one."""
+STRAYS_IN_A_ROW = 5
+"""So many of them in a row, rising, and the numbering goes on from there."""
+MAX_SPANS = 1024
+"""Gaps between the seqs seen are remembered up to this many; what comes for an older one is called seen."""
+
+
+class Sequence:
+    """The seqs of one run that were seen, as spans without a gap, and the last one."""
+
+    def __init__(self) -> None:
+        self.last: int | None = None
+        """The largest seq, but for strays; None before the first."""
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+        """The first and the last seq of each span, rising."""
+        self._strays: list[int] = []
+
+    def __contains__(self, seq: int) -> bool:
+        """Whether a seq was seen."""
+        at = bisect_right(self._starts, seq) - 1
+        return at >= 0 and seq <= self._ends[at]
+
+    def is_above(self, seq: int) -> bool:
+        """Whether a seq is above the last one, as every seq is that stays 0, and the first of a run."""
+        return self.last is None or seq > self.last or seq == self.last == 0
+
+    def note(self, seq: int) -> None:
+        """Take a seq for seen, unless it is a stray."""
+        if self.last is not None and seq > self.last + MAX_STEP:
+            self._note_stray(seq)
+            return
+        self._strays.clear()
+        self.last = seq if self.last is None else max(self.last, seq)
+        at = bisect_right(self._starts, seq) - 1
+        if at >= 0 and seq <= self._ends[at]:
+            return
+        if at >= 0 and seq == self._ends[at] + 1:
+            self._ends[at] = seq
+        else:
+            at += 1
+            self._starts.insert(at, seq)
+            self._ends.insert(at, seq)
+        if at + 1 < len(self._starts) and self._starts[at + 1] == seq + 1:
+            self._join(at)
+        if len(self._starts) > MAX_SPANS:
+            self._join(0)
+
+    def _join(self, at: int) -> None:
+        """Make one span of a span and the next one."""
+        del self._starts[at + 1]
+        del self._ends[at]
+
+    def _note_stray(self, seq: int) -> None:
+        if self._strays and seq <= self._strays[-1]:
+            self._strays.clear()
+        self._strays.append(seq)
+        if len(self._strays) == STRAYS_IN_A_ROW:
+            strays, self._strays = self._strays, []
+            self._starts, self._ends, self.last = [], [], None
+            for stray in strays:
+                self.last = stray  # however far apart they are
+                self.note(stray)

@@ -1,0 +1,79 @@
+"""Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
+
+from ogm_core.placing.rules import JITTER_NS, remember
+from ogm_core.placing.sequence import Sequence
+from ogm_core.types import Scan
+
+MAX_RUNS = 64
+"""Runs whose seqs are remembered; the one heard longest ago is forgotten."""
+REPEATS_IN_A_ROW = 10
+"""So many duplicates whose stamps rise are new scans under old numbers."""
+
+
+class Source:
+    """One sensor of one robot.
+
+    `holds`: its scans wait for the robot's next pose that is believed, because until then nobody knows which
+    time they are of.
+    """
+
+    def __init__(self) -> None:
+        self.holds = False
+        self.step_at: int | None = None
+        """Number of the message with which its clock went back, if no new history has begun since."""
+        self.run: str | None = None
+        self.replaced: list[str] = []
+        """Runs whose scans came before those of `run`, the one heard last at the end."""
+        self._runs: dict[str, Sequence] = {}
+        """By run, the one heard last at the end."""
+        self._newest: int | None = None
+        """Largest stamp since its clock last went back or a new history began, ns."""
+        self._history = 0
+        """The history in which its newest scan came."""
+        self._repeats: list[int] = []
+
+    def seen(self, scan: Scan) -> bool:
+        """Whether a scan is a duplicate; run "" numbers nothing."""
+        known = self._runs.get(scan.run)
+        return scan.run != "" and known is not None and scan.seq in known
+
+    def repeats(self, scan: Scan) -> bool:
+        """Note a duplicate; whether it is the tenth in a row whose stamps rise."""
+        if self._repeats and scan.stamp <= self._repeats[-1]:
+            self._repeats.clear()
+        self._repeats.append(scan.stamp)
+        return len(self._repeats) == REPEATS_IN_A_ROW
+
+    def number(self, scan: Scan) -> None:
+        """Note the seq of a scan that is no duplicate."""
+        self._repeats.clear()
+        sequence = self._runs.pop(scan.run, None) or Sequence()
+        self._runs[scan.run] = sequence
+        if len(self._runs) > MAX_RUNS:
+            del self._runs[next(iter(self._runs))]
+        if scan.run != "":
+            sequence.note(scan.seq)
+
+    def take(self, scan: Scan, number: int, histories: int) -> int:
+        """Note a scan that its robot's poses are to place; by how many ns its clock went back, else 0.
+
+        `number` is the message's, `histories` how many histories of poses have begun. `number` comes after.
+        """
+        known = self._runs.get(scan.run)
+        above = scan.run == "" or known is None or known.is_above(scan.seq)
+        if self._runs and known is None:
+            self.holds = True
+        if self.run is not None and scan.run != self.run:
+            remember(self.replaced, self.run)
+        self.run = scan.run
+        same_history = self._history == histories
+        back = 0
+        if self._newest is not None and same_history and above and scan.stamp < self._newest - JITTER_NS:
+            back = self._newest - scan.stamp
+            self.holds, self.step_at, self._newest = True, number, scan.stamp
+        elif self._newest is None or not same_history:
+            self._newest = scan.stamp
+        else:
+            self._newest = max(self._newest, scan.stamp)
+        self._history = histories
+        return back

@@ -1,0 +1,220 @@
+"""Troubled journeys: whatever clocks, networks and publishers do, no scan is placed where it was not taken.
+
+The scan placer agrees with its naive twin, scan by scan, on every kind of trouble. Of the kinds from which a
+wrong place could be told, none is placed wrong.
+"""
+
+import math
+import random
+
+import pytest
+
+from mapper_desk import T0, Desk
+from naive_placing import MS, Placing
+from ogm_core.types import Pose
+
+SAFE = (
+    *("quiet", "step forward", "late pose", "late scan", "repeated pose", "repeated scan", "repeated burst"),
+    *(
+        "outliers",
+        "jump",
+        "restart",
+        "restart as another run",
+        "poses in steps",
+        "one stamp",
+        "whole seconds",
+    ),
+    *("step back", "two steps back", "step back without runs", "step back without seqs"),
+    "step back with outliers",
+)
+"""Nothing may be placed wrong. Clocks step back by more than a period of the scans and their delay."""
+DOUBTFUL = (
+    *("poses step back", "scans step back", "poses step forward", "scans step forward", "two publishers"),
+    *("pose from elsewhen", "scan from elsewhen", "outliers nearby", "outliers in pairs"),
+    "restart of the clock",
+)
+"""No rule can tell which clock is right, which of two robots is meant, or that the robot was not there."""
+STEPS = (0.1, 0.3, 0.5, 0.8, 1, 2, 3, 5, 30, 1000)
+
+
+def where(t):
+    return 0.8 * t, 0.5 * math.sin(t), 0.3 * t
+
+
+def elsewhere(kind, start, t):
+    x, y, theta = where(t)
+    return (x + 2.1, y - 1.0, theta) if kind == "jump" and t >= start else (x, y, theta)
+
+
+def offset(kind, is_pose, step, start, t):
+    """By how much the clock is off, s."""
+    if t < start:
+        return 0.0
+    if kind == "two steps back":
+        return -step * (1 + (t >= start + 1.5))
+    sides = {"poses": is_pose, "scans": not is_pose}
+    if kind.split()[0] in sides and not sides[kind.split()[0]]:
+        return 0.0
+    if "step back" in kind or kind == "restart of the clock":
+        return -step
+    return step if "step forward" in kind else 0.0
+
+
+def clocked(kind, t):
+    if kind == "one stamp":
+        return T0
+    return T0 + (math.floor(t) * 1000 * MS if kind == "whole seconds" else round(t * 1000) * MS)
+
+
+class Journey:
+    """12 s of a robot's messages, some of them troubled; `truth` of the scans, by message number."""
+
+    def __init__(self, kind, seed):
+        self.rng = random.Random(f"{kind} {seed}")
+        self.kind = kind
+        self.start = self.rng.uniform(3.0, 8.0)
+        self.entries = []  # (arrival, message, truth)
+        self.runs = self.rng.choice([("A", "A"), ("A", "B")])
+        if kind == "step back without runs":
+            self.runs = ("", "")
+        self.seqs = [0, 0]
+        self.drive()
+        self.trouble()
+        self.messages = [message for _, message, _ in self.entries]
+        self.truth = {n: at for n, (_, message, at) in enumerate(self.entries) if message[0] == "scan"}
+
+    def drive(self):
+        pose_rate, scan_rate = self.rng.choice([10, 20, 50]), self.rng.choice([5, 10, 40])
+        delay = self.rng.choice([0.0, 0.05, 0.2])
+        self.step = self.rng.choice([step for step in STEPS if step > 1.4 / scan_rate + delay])
+        times = [(n / pose_rate + self.rng.uniform(0, 0.2) / pose_rate, True) for n in range(12 * pose_rate)]
+        times += [
+            (n / scan_rate + self.rng.uniform(0, 0.4) / scan_rate, False) for n in range(12 * scan_rate)
+        ]
+        begun_anew = False
+        for t, is_pose in sorted(times):
+            if self.kind.startswith("restart") and t >= self.start and not begun_anew:
+                begun_anew, self.seqs = True, [0, 0]
+                if self.kind == "restart as another run":
+                    self.runs = tuple(run + "2" for run in self.runs)
+            stamp = clocked(self.kind, t + offset(self.kind, is_pose, self.step, self.start, t))
+            at = elsewhere(self.kind, self.start, t)
+            self.put(t if is_pose else t + delay, is_pose, stamp, at)
+            if self.kind == "two publishers" and t >= self.start:
+                self.put(t, is_pose, stamp + 3 * MS, (at[0] + 30.0, *at[1:]), ("Z", "Z"))
+        self.entries.sort(key=lambda entry: entry[0])
+
+    def put(self, arrival, is_pose, stamp, at, runs=None):
+        seq = 0 if self.kind == "step back without seqs" else self.seqs[not is_pose]
+        pose_run, scan_run = runs or self.runs
+        if is_pose:
+            self.entries.append((arrival, ("pose", pose_run, seq, stamp, at), None))
+        else:
+            period = self.rng.choice([0, 0, 4 * MS])
+            beams = [stamp + n * period for n in range(3)]
+            self.entries.append((arrival, ("scan", scan_run, seq, stamp, "s", beams), at))
+        self.seqs[not is_pose] += 1
+
+    def chosen(self, which, share):
+        return [
+            n for n, entry in enumerate(self.entries) if entry[1][0] == which and self.rng.random() < share
+        ]
+
+    def trouble(self):
+        kind, rng, entries = self.kind, self.rng, self.entries
+        which = "scan" if "scan" in kind else "pose"
+        if kind.startswith("late"):
+            for n in self.chosen(which, 0.04):
+                entries.insert(min(len(entries), n + rng.randrange(1, 8)), entries.pop(n))
+        elif kind == "repeated burst":
+            n, count = rng.randrange(80, len(entries)), rng.randrange(3, 80)
+            entries[n:n] = entries[n - count : n]
+        elif kind.startswith("repeated"):
+            for n in reversed(self.chosen(which, 0.05)):
+                entries.insert(min(len(entries), n + rng.randrange(1, 10)), entries[n])
+        elif "outliers" in kind:
+            self.wrong_poses(0.3 if "nearby" in kind else 5.0, 4.0 if "nearby" in kind else 500.0)
+        elif kind.endswith("elsewhen"):
+            for n in self.chosen(which, 0.01):
+                off = rng.choice([-1, 1]) * round(rng.choice([0.2, 1, 10, 1e6]) * 1000) * MS
+                arrival, message, at = entries[n]
+                moved = list(message)
+                moved[3] += off
+                if which == "scan":
+                    moved[5] = [beam + off for beam in moved[5]]
+                entries[n] = arrival, tuple(moved), at
+        elif kind == "poses in steps":
+            self.thin_out()
+
+    def wrong_poses(self, least, most):
+        for n in self.chosen("pose", 0.03):
+            angle, far = self.rng.uniform(0, math.tau), self.rng.uniform(least, most)
+            twice = [m for m in range(n + 1, len(self.entries)) if self.entries[m][1][0] == "pose"][:1]
+            for m in [n, *(twice if "pairs" in self.kind else [])]:
+                arrival, (*rest, (x, y, theta)), at = self.entries[m]
+                moved = (x + far * math.cos(angle), y + far * math.sin(angle), theta)
+                self.entries[m] = arrival, (*rest, moved), at
+
+    def thin_out(self):
+        """Leave a pose every 0.25 m, as AMCL does."""
+        last, kept = None, []
+        for entry in self.entries:
+            if entry[1][0] == "pose":
+                x, y, _ = entry[1][4]
+                if last is not None and math.hypot(x - last[0], y - last[1]) < 0.25:
+                    continue
+                last = x, y
+            kept.append(entry)
+        self.entries[:] = kept
+
+
+def placed_by_desk(journey, **rules):
+    """Desk after a journey, its scans tagged with the numbers of their messages."""
+    desk = Desk(**rules)
+    for n, message in enumerate(journey.messages):
+        kind, run, seq, stamp, *rest = message
+        if kind == "pose":
+            desk.pose((stamp - T0) // MS, Pose(*rest[0]), run=run, seq=seq)
+        else:
+            increment = (rest[1][1] - rest[1][0]) / 1e9
+            desk.scan(
+                (stamp - T0) // MS, seq=seq, run=run, beams=3, time_increment=increment, sensor=rest[0], tag=n
+            )
+    desk.placer.finish()
+    return desk
+
+
+@pytest.mark.parametrize("kind", [*SAFE, *DOUBTFUL])
+def test_the_placer_is_its_twin(kind):
+    for seed in range(3):
+        journey = Journey(kind, seed)
+        desk, twin = placed_by_desk(journey), Placing().play(journey.messages)
+        assert desk.tags == [n for n, _ in twin.placed]
+        for (_, got), (_, wanted) in zip(desk.sink.placed, twin.placed, strict=True):
+            assert got == pytest.approx(wanted, abs=1e-9)
+        counts = {}
+        for reason in twin.dropped.values():
+            counts[reason] = counts.get(reason, 0) + 1
+        assert desk.dropped == counts
+        poses = desk.receipts.status().poses
+        assert {name: getattr(poses, name) for name in twin.notes} == twin.notes
+
+
+def astray(journey, desk):
+    """How far each placed scan is from where it was taken, m."""
+    return [
+        math.dist(pose[:2], journey.truth[n][:2])
+        for n, (_, pose) in zip(desk.tags, desk.sink.placed, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("kind", SAFE)
+def test_nothing_is_placed_wrong(kind):
+    placed = 0
+    for seed in range(100, 112):
+        journey = Journey(kind, seed)
+        desk = placed_by_desk(journey)
+        far = astray(journey, desk)
+        assert max(far, default=0.0) < 0.1, (seed, journey.step)
+        placed += len(far)
+    assert placed > 0
