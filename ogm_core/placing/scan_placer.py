@@ -292,7 +292,7 @@ _STEPPED = (
     "a time_offset"
 )
 _AHEAD = (
-    "its stamp is {:g} s ahead of the robot's newest pose, more than mapper.pose_wait = {:g} s: send poses while "
-    "the robot stands, too (AMCL does not), and let poses and scans have their stamps from one clock, or give "
-    "the sensor a time_offset"
+    "its stamp is {:g} s ahead of the robot's newest pose, more than mapper.pose_wait = {:g} s: send poses "
+    "while the robot stands, too (AMCL does not), and let poses and scans have their stamps from one clock, "
+    "or give the sensor a time_offset"
 )
