@@ -58,10 +58,11 @@ class PoseHistory:
 
     def append(self, stamp: int, pose: Pose) -> None:
         """Keep a pose that is later than the newest, and forget the oldest ones if there are enough."""
-        self._stamps.append(stamp)
+        stamps = self._stamps
+        stamps.append(stamp)
         self._poses.append(pose)
-        while len(self) > MAX_KEPT or (len(self) > CAPACITY and stamp - self._stamps[0] > SPAN_NS):
-            self._ambiguous.discard(self._stamps.popleft())
+        while len(stamps) > CAPACITY and (stamp - stamps[0] > SPAN_NS or len(stamps) > MAX_KEPT):
+            self._ambiguous.discard(stamps.popleft())
             self._poses.popleft()
 
     def doubt(self, stamp: int) -> None:
@@ -76,15 +77,16 @@ class PoseHistory:
         Raises:
             NoPose: `stamp` lies outside of what is kept, or nothing can be said of it; the text says why.
         """
-        after = bisect_left(self._stamps, stamp)
-        if after == len(self._stamps) or (after == 0 and self._stamps[0] != stamp):
-            raise NoPose("its beams reach beyond the robot's poses that are kept")
-        t1, p1 = self._stamps[after], self._poses[after]
+        stamps = self._stamps
+        after = bisect_left(stamps, stamp)
+        if after == len(stamps) or (after == 0 and stamps[0] != stamp):
+            raise NoPose(_BEYOND)
+        t1, p1 = stamps[after], self._poses[after]
         if t1 == stamp:
             if stamp in self._ambiguous:
                 raise NoPose(_AMBIGUOUS)
             return p1
-        t0, p0 = self._stamps[after - 1], self._poses[after - 1]
+        t0, p0 = stamps[after - 1], self._poses[after - 1]
         if (why_not := self._gap_between(t0, p0, t1, p1)) is not None:
             raise NoPose(why_not)
         f = (stamp - t0) / (t1 - t0)
@@ -99,15 +101,15 @@ class PoseHistory:
             NoPose: one of them cannot be told.
         """
         first, last = sorted((scan.stamp, scan.end_stamp))
-        self.at(first)
-        self.at(last)
+        if not self._stamps or first < self._stamps[0] or last > self._stamps[-1]:
+            raise NoPose(_BEYOND)
         middle = self.at(scan.stamp + (scan.end_stamp - scan.stamp) // 2)
         base = self._at_each(scan.stamp, np.rint(np.arange(scan.ranges.size) * scan.time_increment * 1e9))
         return Sweep(middle.compose(scan.mount), _composed(base, scan.mount))
 
     def _gap_between(self, t0: int, p0: Pose, t1: int, p1: Pose) -> str | None:
         """Why nothing is said of the time between two neighbours; None if they are joined."""
-        if t0 in self._ambiguous or t1 in self._ambiguous:
+        if self._ambiguous and not self._ambiguous.isdisjoint((t0, t1)):
             return _AMBIGUOUS
         if t1 - t0 <= self._gap_ns or nearly_equal(p0, p1):
             return None
@@ -143,6 +145,7 @@ class PoseHistory:
         return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
 
 
+_BEYOND = "its beams reach beyond the robot's poses that are kept"
 _AMBIGUOUS = (
     "a pose beside it has the stamp of another, different pose, so nobody knows which one holds: give "
     "every pose the time at which it was true, in ns"

@@ -38,6 +38,9 @@ class Verdict(NamedTuple):
     """What a user should know."""
 
 
+_BELIEVED = Verdict(True)
+
+
 class RobotPoses:
     """The history of one robot's poses, and what decides whether a pose belongs to it."""
 
@@ -95,19 +98,19 @@ class RobotPoses:
 
     def _later(self, message: PoseStamped) -> Verdict:
         """The rules of a pose that is later than the newest one."""
-        stamp, pose = message.stamp, message.pose
-        assert self._history.newest is not None
-        from_before = self._rules.reachable(stamp - self._history.newest, self._history.newest_pose, pose)
+        stamp, pose, history = message.stamp, message.pose, self._history
+        assert history.newest is not None
+        from_before = self._rules.reachable(stamp - history.newest, history.newest_pose, pose)
         if self._provisional is None:
             self._outliers.append(False)
             if from_before:
-                self._history.append(stamp, pose)
-                return Verdict(True)
+                history.append(stamp, pose)
+                return _BELIEVED
             self._provisional, self._doubted = (stamp, pose), False
-            return Verdict(True)
+            return _BELIEVED
         odd_stamp, odd = self._provisional
         from_odd = self._rules.reachable(stamp - odd_stamp, odd, pose)
-        how = _jump(self._history.newest, self._history.newest_pose, odd_stamp, odd)
+        how = _jump(history.newest, history.newest_pose, odd_stamp, odd)
         if from_odd and from_before:
             return self._begin(
                 message, f"its poses had jumped ({how})", kind="jump", said=_JUMPED.format(how)

@@ -80,9 +80,8 @@ class ScanPlacer:
         """Take a robot's pose, and place every scan that it makes ready."""
         self._messages += 1
         robot = self._robot(name)
-        sources = robot.sources.values()
         poses = robot.poses
-        anew = any(source.step_at is not None for source in sources)
+        anew = any(source.step_at is not None for source in robot.sources.values())
         verdict = poses.add(message, anew=anew, released=poses.owner in robot.gone)
         if verdict.note is not None:
             self._receipts.pose_noted(verdict.note)
@@ -96,15 +95,18 @@ class ScanPlacer:
             self._begin(name, robot, verdict)
         if poses.history.newest == message.stamp:
             self._receipts.located(name, message.stamp, message.pose)
-        for source in sources:
+        for source in robot.sources.values():
             source.holds = False
-        self._look_again(name, robot)
+        if robot.waiting:
+            self._look_again(name, robot)
 
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         self._messages += 1
         robot = self._robot(name)
-        source = robot.sources.setdefault(sensor, Source())
+        source = robot.sources.get(sensor)
+        if source is None:
+            source = robot.sources[sensor] = Source()
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         if source.seen(scan):
             self._drop(name, sensor, "duplicate", _REPEATED if source.repeats(scan) else _SEEN)
@@ -130,7 +132,7 @@ class ScanPlacer:
             robot.waiting.append(item)
         else:
             self._try(name, robot, item)
-        if robot.waiting and robot.waiting[-1] is item:
+        if len(robot.waiting) > 1 and robot.waiting[-1] is item:
             self._limit_waiting(name, robot, sensor)
 
     def robot_here(self, name: str, run: str) -> None:
@@ -206,14 +208,14 @@ class ScanPlacer:
 
     def _try(self, name: str, robot: _Robot, item: _Waiting) -> None:
         """Place a scan that is ready, drop one that will never be, let the others wait."""
-        scan, history, newest = item.scan, robot.poses.history, robot.poses.newest
-        if history.newest is None or newest is None:
+        scan, newest, covered = item.scan, robot.poses.newest, robot.poses.history.newest
+        if newest is None or covered is None:
             robot.waiting.append(item)
+        elif max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
+            self._place(name, robot, item.sensor, scan)
         elif scan.stamp - newest > self._rules.pose_wait * 1e9:
             ahead = _AHEAD.format((scan.stamp - newest) / 1e9, self._rules.pose_wait)
             self._drop(name, item.sensor, "no_pose", ahead)
-        elif max(scan.stamp, scan.end_stamp) <= history.newest or scan.stamp < cast(int, history.oldest):
-            self._place(name, robot, item.sensor, scan)
         else:
             robot.waiting.append(item)
 
