@@ -56,7 +56,8 @@ class Scan:
     `stamp` is the time of the first beam, ns since the Unix epoch; `time_increment` the seconds between
     beams. Angles in radians, ranges in metres: float32, shape (N,), N >= 1, read-only. `mount` is the
     sensor's pose in the base frame, `pose` the base's pose in the map frame at `stamp`, if the scan
-    carries one.
+    carries one. `clear_range` and `reach` (m) take the place of the map's, where they are not None; they are
+    no part of a message.
     """
 
     stamp: int
@@ -70,6 +71,8 @@ class Scan:
     pose: Pose | None = None
     seq: int = 0
     run: str = ""
+    clear_range: float | None = None
+    reach: float | None = None
 
     @property
     def end_stamp(self) -> int:

@@ -13,6 +13,8 @@ def classify(r, range_min, range_max, alpha, clear_range=math.inf, reach=math.in
     """None for a beam without evidence, else (is a hit, length)."""
     if math.isnan(r) or r == -math.inf or r <= 0 or r < range_min:
         return None
+    if r != math.inf and r > range_max * (1 + 1e-6):
+        return None
     if r >= range_max:
         return False, min(range_max, clear_range, reach)
     if r >= range_max - alpha / 2:

@@ -61,6 +61,7 @@ enum Kind { SKIPPED, NO_RETURN, HIT };
 
 inline Kind classify(const Header& with, double r, double* length) {
   if (std::isnan(r) || r <= 0.0 || r < with.range_min) return SKIPPED;
+  if (std::isfinite(r) && r > with.range_max * (1.0 + 1e-6)) return SKIPPED;
   if (r >= with.range_max) {
     *length = std::min(with.range_max, with.clear_range);
     return NO_RETURN;

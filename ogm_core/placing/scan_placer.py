@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
+from ogm_core.placing.hints import Hints
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
@@ -67,12 +69,18 @@ class ScanPlacer:
     """
 
     def __init__(
-        self, sink: ScanSink, receipts: Receipts, complain: Complain, rules: PlacingRules = DEFAULT_RULES
+        self,
+        sink: ScanSink,
+        receipts: Receipts,
+        complain: Complain,
+        rules: PlacingRules = DEFAULT_RULES,
+        hints: Hints | None = None,
     ) -> None:
         self._sink = sink
         self._receipts = receipts
         self._complain = complain
         self._rules = rules
+        self._hints = hints or Hints()
         self._robots: dict[str, _Robot] = {}
         self._messages = 0
 
@@ -108,6 +116,7 @@ class ScanPlacer:
         if source is None:
             source = robot.sources[sensor] = Source()
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
+        self._hints.look(f"{name}/{sensor}", scan, partial(self._hint, name, sensor))
         if source.seen(scan):
             self._drop(name, sensor, "duplicate", _REPEATED if source.repeats(scan) else _SEEN)
             return
@@ -249,8 +258,9 @@ class ScanPlacer:
     def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
         try:
-            pose, sweep = self._pose_of(robot, scan)
-            self._sink.integrate(scan, pose.compose(scan.mount), sweep)
+            base, sweep = self._pose_of(robot, scan)
+            pose = base.compose(scan.mount)
+            self._sink.integrate(scan, pose, sweep)
         except ScanRefused as refusal:
             self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
         except Exception:
@@ -258,6 +268,7 @@ class ScanPlacer:
             raise
         else:
             self._receipts.scan_integrated(name, sensor)
+            self._hints.placed(f"{name}/{sensor}", scan, pose, partial(self._hint, name, sensor))
 
     @staticmethod
     def _pose_of(robot: _Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
@@ -274,6 +285,10 @@ class ScanPlacer:
             raise Stale("its stamp lies before the robot's oldest kept pose")
         sweep = None if scan.time_increment == 0.0 else history.along(scan)
         return history.at(scan.stamp), sweep
+
+    def _hint(self, name: str, sensor: str, slug: str, text: str) -> None:
+        self._receipts.hint(name, sensor, slug)
+        self._complain(f"{name}/{sensor}", f"hint {slug}", text)
 
     def _drop(self, name: str, sensor: str, reason: DropReason, why: str) -> None:
         self._receipts.scan_dropped(name, sensor, reason)

@@ -1,5 +1,6 @@
 """Quality figures of a map: entropy, areas, consistency with its scans, prediction of held-out scans."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -13,12 +14,14 @@ from ogm_core.quality import agreement
 from ogm_core.sensor_models import beams
 from ogm_core.sensor_models.projection import beam_model, project, read_only, sensor_poses
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.types import PlacedScan
+from ogm_core.types import PlacedScan, Pose, Scan
 
 JUDGED_SHORTER_THAN = 15.0
 CAST_UP_TO = 25.0
 BEAMS_IN_A_ROW = 4096
 """Judged without a look at whether anybody still waits: a fraction of a second, even of the longest beams."""
+JUDGED_HITS = 32
+"""Hits of a scan that `agreement_of_hits` looks at."""
 DECIDED = 0.6
 """A cell counts as a wall, or as free, if its log odds differ from the prior's by more than this."""
 
@@ -79,6 +82,27 @@ class Consistency:
         """The shares, None where nothing was judged."""
         hits, occupied, passed, free = map(int, self._counts)
         return {"hits": occupied / hits if hits else None, "free": free / passed if passed else None}
+
+
+def agreement_of_hits(snapshot: MapSnapshot, scan: Scan, pose: Pose) -> tuple[int, int]:
+    """Of up to 32 hits of a scan: how many end in cells of the map with p > 0.5, and how many were judged.
+
+    `pose` is the sensor's. Hits outside the map are not judged.
+    """
+    limit = scan.range_max if scan.reach is None else min(scan.range_max, scan.reach)
+    hits = np.flatnonzero((scan.ranges > scan.range_min) & (scan.ranges < limit))
+    hits = hits[:: max(1, math.ceil(hits.size / JUDGED_HITS))]
+    bearings = pose.theta + (scan.angle_min + hits * scan.angle_increment)
+    ranges = scan.ranges[hits].astype(np.float64)
+    ends = np.stack((pose.x + ranges * np.cos(bearings), pose.y + ranges * np.sin(bearings)), axis=1)
+    cells = np.floor(snapshot.lattice.in_cells(ends)).astype(np.int64) - snapshot.offset
+    agreeing = judged = 0
+    for ix, iy in cells.tolist():
+        if 0 <= ix < snapshot.width and 0 <= iy < snapshot.height:
+            probability, _ = snapshot.published(slice(iy, iy + 1), slice(ix, ix + 1))
+            judged += 1
+            agreeing += bool(probability[0, 0] > 0.5)
+    return agreeing, judged
 
 
 def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[PlacedScan]) -> dict[str, Any]:

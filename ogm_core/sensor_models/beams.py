@@ -18,6 +18,8 @@ IX, IY, KIND, IX0, IY0 = range(5)
 """Rows of a scan's `ends`: the end cell, the kind, the start cell (see projection.Beams)."""
 _CLOSE = 4
 """Added to the kind of a beam that ends too close to a cell's edge for quick arithmetic."""
+_ROUNDING = 1.0 + 1e-6
+"""A float32 may be so much more than the `range_max` that it was rounded from."""
 _USEFUL = 1e-3
 """Quick arithmetic pays as long as few beams end so close to an edge, cells."""
 
@@ -52,7 +54,7 @@ class LatticeParams(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def classify(r: float, beam: BeamModel) -> tuple[int, float]:
     """Kind of a beam that measured `r`, and the distance of its end point from the sensor, m."""
-    if math.isnan(r) or r <= 0.0 or r < beam.range_min:
+    if math.isnan(r) or r <= 0.0 or r < beam.range_min or beam.range_max * _ROUNDING < r < math.inf:
         return SKIPPED, 0.0
     if r >= beam.range_max:
         return NO_RETURN, min(beam.range_max, beam.clear_range, beam.reach)
@@ -67,7 +69,7 @@ def classify(r: float, beam: BeamModel) -> tuple[int, float]:
 def reading(r: float, beam: BeamModel) -> tuple[bool, bool, float]:
     """`classify` without a branch, for many beams at once: whether it counts, whether it hit, its length."""
     saw_nothing = beam.range_max - beam.alpha / 2
-    counts = (r > 0.0) & (r >= beam.range_min)
+    counts = (r > 0.0) & (r >= beam.range_min) & ((r <= beam.range_max * _ROUNDING) | (r == math.inf))
     hit = counts & (r < saw_nothing) & (r <= beam.reach)
     farthest = min(beam.range_max, beam.clear_range, beam.reach)
     length = min(r, beam.reach if r < saw_nothing else farthest)

@@ -27,13 +27,16 @@ class Beams(NamedTuple):
 
 
 def beam_model(scan: Scan, settings: GridSettings) -> beams.BeamModel:
-    """Gather a scan's and a map's parameters."""
+    """Gather a scan's and a map's parameters; the scan's own distances come first."""
+    alpha, clear_range, reach = settings.distances
     return beams.BeamModel(
         float(scan.angle_min),
         float(scan.angle_increment),
         float(scan.range_min),
         float(scan.range_max),
-        *settings.distances,
+        alpha,
+        clear_range if scan.clear_range is None else float(scan.clear_range),
+        reach if scan.reach is None else float(scan.reach),
     )
 
 

@@ -144,8 +144,8 @@ def check_scan(scan: Scan) -> None:
     Raises:
         BadMessage: range_min and range_max, or the bearings, make no sense.
     """
-    if scan.angle_increment == 0.0:
-        raise BadMessage("angle_increment: it must not be 0")
+    if scan.angle_increment == 0.0 and scan.ranges.size > 1:
+        raise BadMessage("angle_increment: it must not be 0, unless there is one beam")
     if not math.isfinite(scan.angle_min + (scan.ranges.size - 1) * scan.angle_increment):
         raise BadMessage("angle_increment: the last beam's bearing is not finite")
     if not math.isfinite((scan.ranges.size - 1) * scan.time_increment * 1e9):

@@ -91,7 +91,7 @@ def pose_of(values: Sequence[float], name: str) -> Pose:
 
 
 def ranges_of(values: ArrayLike) -> Ranges:
-    """Numbers of any kind as float32, shape (N,), read-only; a copy.
+    """Numbers of any kind as float32, shape (N,), read-only; a copy. What a mask hides is NaN.
 
     Raises:
         BadMessage: they are no numbers, or not in one row.
@@ -106,5 +106,7 @@ def ranges_of(values: ArrayLike) -> Ranges:
         )
     with np.errstate(over="ignore"):  # a reading past float32 is past every range_max, as inf is
         copy = ranges.astype(np.float32)
+    if isinstance(values, np.ma.MaskedArray):
+        copy[np.ma.getmaskarray(values)] = np.nan
     copy.flags.writeable = False
     return copy

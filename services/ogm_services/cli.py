@@ -27,6 +27,7 @@ from ogm_services.settings.flags import (
     MapFlags,
     MapperFlags,
     NetworkFlags,
+    SensorFlags,
     settings_from,
     with_flag_groups,
 )
@@ -93,6 +94,7 @@ def demo(
     network: NetworkFlags,
     http: HttpFlags,
     config: ConfigFile = None,
+    sensor: SensorFlags = None,
     world: World = "lab",
     duration: Annotated[
         float | None,
@@ -105,7 +107,7 @@ def demo(
     """Start a simulator and a mapper on this machine, and print the URL of the live map."""
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
-    settings = settings_from(config, map_flags, network, http)
+    settings = settings_from(config, map_flags, network, http, sensors=sensor)
     with running_service(), kernel_cache():
         with loading():
             from ogm_services.commands.demo import run_demo
@@ -120,10 +122,11 @@ def mapper(
     network: NetworkFlags,
     http: HttpFlags,
     config: ConfigFile = None,
+    sensor: SensorFlags = None,
     out: MapperOut = None,
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
-    settings = settings_from(config, map_flags, mapper_flags, network, http)
+    settings = settings_from(config, map_flags, mapper_flags, network, http, sensors=sensor)
     with running_service(), kernel_cache():
         with loading():
             from ogm_services.mapper.service import run_mapper
@@ -229,6 +232,7 @@ def build(
     map_flags: MapFlags,
     log_flags: LogFlags,
     config: ConfigFile = None,
+    sensor: SensorFlags = None,
     hold_out: Annotated[
         int | None,
         typer.Option(
@@ -247,7 +251,7 @@ def build(
     """Make a map of a recorded log, without network."""
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
-    settings = settings_from(config, map_flags)
+    settings = settings_from(config, map_flags, sensors=sensor)
     with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
         with loading():
             from ogm_services.commands.build import run_build

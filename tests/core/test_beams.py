@@ -58,8 +58,10 @@ def classify(r, range_min, range_max, alpha, clear_range, reach):
         (7.9, INF, INF, (NO_RETURN, 7.9)),
         (BELOW_MAX, INF, INF, (NO_RETURN, BELOW_MAX)),
         (R_MAX, INF, INF, (NO_RETURN, R_MAX)),
-        (9.0, INF, INF, (NO_RETURN, R_MAX)),
-        (81.83, INF, INF, (NO_RETURN, R_MAX)),
+        (9.0, INF, INF, (SKIPPED, 0.0)),
+        (81.83, INF, INF, (SKIPPED, 0.0)),
+        (8.000007, INF, INF, (NO_RETURN, R_MAX)),
+        (8.000009, INF, INF, (SKIPPED, 0.0)),
         (INF, INF, INF, (NO_RETURN, R_MAX)),
         # clear_range shortens what saw nothing, never a hit.
         (INF, 3.0, INF, (NO_RETURN, 3.0)),

@@ -15,19 +15,19 @@ import typer
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
-from ogm_core.logs.recordings import RecordedScan, RecordingReader
+from ogm_core.logs.recordings import RecordingReader
+from ogm_core.placing.hints import Hints
 from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
-from ogm_core.quality.figures import Consistency, held_out, quality_figures
+from ogm_core.quality.figures import Consistency, agreement_of_hits, held_out, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_services.commands.log_feed import LogFeed, LogSink
 from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import check_place, write_map
-from ogm_services.runtime.complaints import Complaints
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
@@ -76,18 +76,20 @@ def run_build(
         )
 
     grid = OccupancyGrid(settings.grid_settings())
-    first = _MapPass(grid)
-    receipts = Receipts()
+    first, feed = _MapPass(grid), LogFeed(settings, hold_out)
+    hints = Hints(
+        lambda scan, pose: agreement_of_hits(grid.snapshot(), scan, pose),
+        sector=grid.settings.sensor_model == "sector",
+    )
     with reader() as messages:
-        complaints = Complaints()
-        placer = ScanPlacer(first, receipts, complaints.add, settings.placing_rules())
-        _feed(messages, first, placer, receipts, hold_out, "mapping")
+        feed.run(messages, first, "mapping", hints)
     snapshot = grid.snapshot()
-    report = _report(messages, receipts, first)
+    report = _report(messages, feed.receipts, first)
+    complaints = feed.complaints.lines()
     if snapshot.empty or not grid.cell_updates:
-        why = "; ".join(complaints.lines()[:1])
-        raise MapEmpty(f"{log}: no scan changed the map ({report}){why and f'; {why}'}")
-    for line in complaints.lines():
+        raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:1]]))
+    complaints += [f"sensors: {glob}: no sensor of this log is called so" for glob in feed.sensors.unmatched]
+    for line in complaints:
         typer.echo(line, err=True)
     quality = _judged(reader, snapshot, first, hold_out, settings)
     if true_world is not None:
@@ -98,13 +100,6 @@ def run_build(
     if figure is not None and drawn is not None:
         write_figure(figure, drawn)
     typer.echo(f"{out}: {report}")
-
-
-class _Pass(ScanSink):
-    """What both passes over a log need: which scans stay out of the map, and whose message is being read."""
-
-    withheld: set[Scan]
-    robot: str
 
 
 class _Kept:
@@ -128,7 +123,7 @@ class _Kept:
 
 
 @dataclass
-class _MapPass(_Pass):
+class _MapPass(LogSink):
     """First pass: scans go into the map, or aside if they are held out."""
 
     grid: OccupancyGrid
@@ -155,7 +150,7 @@ class _MapPass(_Pass):
 
 
 @dataclass
-class _JudgePass(_Pass):
+class _JudgePass(LogSink):
     """Second pass: the scans that are in the map are held against it."""
 
     consistency: Consistency
@@ -172,33 +167,6 @@ class _JudgePass(_Pass):
         return 0
 
 
-def _feed(
-    messages: RecordingReader,
-    sink: _Pass,
-    placer: ScanPlacer,
-    receipts: Receipts,
-    hold_out: int | None,
-    text: str,
-) -> None:
-    """Send a log through the scan placer of a sink, up to and including what waits for poses at its end."""
-    index = 0
-    with progress_bar(text, messages.size) as show:
-        for message in messages:
-            # A message makes scans of its own robot ready, and of no other.
-            sink.robot = message.robot
-            if isinstance(message, RecordedScan):
-                if hold_out is not None and index % hold_out == hold_out // 2:
-                    sink.withheld.add(message.message)
-                index += 1
-                receipts.scan_received(message.robot, message.sensor)
-                placer.add_scan(message.robot, message.sensor, message.message)
-                show(messages.position)
-            else:
-                receipts.pose_received(message.robot)
-                placer.add_pose(message.robot, message.message)
-    placer.finish()
-
-
 def _judged(
     reader: Callable[[], RecordingReader],
     snapshot: MapSnapshot,
@@ -211,9 +179,8 @@ def _judged(
     consistency = Consistency(snapshot, grid.settings)
     if first.kept.scans is None:
         with reader() as messages:
-            second, receipts = _JudgePass(consistency, iter(first.accepted)), Receipts()
-            placer = ScanPlacer(second, receipts, lambda *_: None, settings.placing_rules())
-            _feed(messages, second, placer, receipts, hold_out, "judging")
+            second = _JudgePass(consistency, iter(first.accepted))
+            LogFeed(settings, hold_out).run(messages, second, "judging")
     else:
         with progress_bar("judging", len(first.kept.scans)) as show:
             for done, placed in enumerate(first.kept.scans, 1):

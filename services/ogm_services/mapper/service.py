@@ -19,8 +19,11 @@ import uvicorn
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import MapEmpty, OgmError
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.hints import Hints
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.quality.figures import agreement_of_hits
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
@@ -122,9 +125,16 @@ class MapperService:
         self._grid_settings = grid.settings
         self.live_map = LiveMap(grid)
         receipts, queue = Receipts(), ScanQueue(limits.queue)
-        placer = ScanPlacer(self.live_map, receipts, LimitedLog(log).of_kind, settings.placing_rules())
+        hints = Hints(
+            lambda scan, pose: agreement_of_hits(self.live_map.snapshot(), scan, pose),
+            sector=grid.settings.sensor_model == "sector",
+        )
+        complain = LimitedLog(log).of_kind
+        placer = ScanPlacer(self.live_map, receipts, complain, settings.placing_rules(), hints)
         self._queue, self._receipts = queue, receipts
-        self._worker = Worker(queue, placer, receipts, max_beams=limits.max_beams)
+        self._worker = Worker(
+            queue, placer, receipts, max_beams=limits.max_beams, sensors=SensorRules(settings.sensor_rules())
+        )
         self._monitor = Monitor(self.live_map)
         self._ready = threading.Event()
         self.answers = Answers(

@@ -17,6 +17,7 @@ import typer
 from ogm_core.cells.log_odds import CellType
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
 from ogm_core.wire.keys import DEFAULT_ADDRESS
+from ogm_services.settings.sensors import FORM
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, load_settings
 from ogm_services.settings.values import Preset
@@ -204,10 +205,22 @@ ConfigFile = Annotated[
 ]
 
 
-def settings_from(config: Path | None, *groups: _SettingFlags) -> Settings:
+SensorFlags = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--sensor",
+        metavar=FORM,
+        help="What a sensor does not say itself; GLOB is that of ROBOT/SENSOR (repeatable).",
+        rich_help_panel=PANELS["map"],
+    ),
+]
+
+
+def settings_from(config: Path | None, *groups: _SettingFlags, sensors: list[str] | None = None) -> Settings:
     """Settings of a command, from its flags, this process's environment and its settings file."""
     flags = {group.section: group.given() for group in groups}
-    return load_settings(config=config, flags=flags, environ=os.environ, tell=partial(typer.echo, err=True))
+    tell = partial(typer.echo, err=True)
+    return load_settings(config=config, flags=flags, environ=os.environ, sensors=sensors or (), tell=tell)
 
 
 def with_flag_groups(command: Callable[..., None]) -> Callable[..., None]:

@@ -28,7 +28,9 @@ from ogm_core.grid_settings import (
 )
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
+from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
+from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
     NONE,
     Bounds,
@@ -160,6 +162,7 @@ class Settings(BaseModel):
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     http: HttpSettings = Field(default_factory=HttpSettings)
     mapper: MapperSettings = Field(default_factory=MapperSettings)
+    sensors: tuple[SensorSettings, ...] = ()
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -190,6 +193,10 @@ class Settings(BaseModel):
         """What is believed of poses and scans."""
         limits = self.mapper
         return PlacingRules(limits.pose_gap, limits.pose_wait, limits.max_speed, limits.max_turn_rate)
+
+    def sensor_rules(self) -> list[SensorRule]:
+        """What is known of the sensors, the first to look at first."""
+        return [sensor.rule() for sensor in self.sensors]
 
     def to_yaml(self) -> str:
         """Every setting that was given, as a file from which `load_settings` makes equal settings."""

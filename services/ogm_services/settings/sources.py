@@ -5,7 +5,7 @@ it.
 """
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +14,12 @@ from pydantic_core import ErrorDetails
 
 from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import parse_yaml
+from ogm_services.settings.sensors import SensorSettings, parse_entry, read_entry
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.values import PRESETS
 
+SENSORS = "sensors"
+"""The one section that is a list."""
 RENAMED = {("map", "model"): ("map", "sensor_model")}
 """Former names of settings: they hold for one release, and say so."""
 
@@ -37,16 +40,20 @@ def load_settings(
     config: Path | None,
     flags: Mapping[str, Mapping[str, Any]],
     environ: Mapping[str, str],
+    sensors: Iterable[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Settings:
     """Settings from all sources: `config` is a YAML file, `flags` the values given as flags, by section.
+
+    `sensors` are the texts of `--sensor`. Of sensors, those of a later source are looked at first.
 
     `tell` is told what is no error, but should be changed.
 
     Raises:
         BadSetting: the file cannot be read, a name is unknown, a value is not allowed or contradicts another.
     """
-    sources = _from_file(config) if config else {}, _from_environment(environ), _from_flags(flags)
+    content = _file_content(config) if config else {}
+    sources = _from_file(content, config), _from_environment(environ), _from_flags(flags)
     given: _Source = {}
     for source in sources:
         given |= _by_present_names(source, tell)
@@ -54,9 +61,11 @@ def load_settings(
     if named is not None:
         preset = PRESETS.get(str(named.value), {})
         given = {("map", key): _Given(value, named.source) for key, value in preset.items()} | given
-    values: dict[str, dict[str, Any]] = {}
+    values: dict[str, Any] = {}
     for (section, key), item in given.items():
         values.setdefault(section, {})[key] = item.value
+    if entries := [*_sensors_as_text(sensors, environ), *_sensors_of_file(content, config)]:
+        values[SENSORS] = entries
     try:
         return Settings.model_validate(values)
     except ValidationError as error:
@@ -88,22 +97,42 @@ def without_settings(environ: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environ.items() if not _is_setting(name)}
 
 
-def _from_file(path: Path) -> _Source:
+def _file_content(path: Path) -> Mapping[Any, Any]:
     try:
-        content = parse_yaml(path.read_text(encoding="utf-8"))
+        return _mapping(parse_yaml(path.read_text(encoding="utf-8")), f"{path}")
     except OSError as error:
         raise BadSetting(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise BadSetting(f"{path}: not YAML: it is not UTF-8 text ({error})") from None
     except ValueError as error:
         raise BadSetting(f"{path}: {error}") from None
+
+
+def _from_file(content: Mapping[Any, Any], path: Path | None) -> _Source:
     given: _Source = {}
-    for section, values in _mapping(content, f"{path}").items():
-        _check_known(f"{path}: ", str(section), SECTIONS)
+    for section, values in content.items():
+        if section == SENSORS:
+            continue
+        _check_known(f"{path}: ", str(section), {**SECTIONS, SENSORS: None})
         for key, value in _mapping(values, f"{path}: {section}").items():
             _check_known(f"{path}: ", f"{section}.{key}", _names("{}.{}"))
             given[section, key] = _Given(value, f"file {path}")
     return given
+
+
+def _sensors_of_file(content: Mapping[Any, Any], path: Path | None) -> list[SensorSettings]:
+    entries = content.get(SENSORS) or []
+    if not isinstance(entries, list):
+        raise BadSetting(f"{path}: {SENSORS}: a list of mappings is needed, got {entries!r:.40}")
+    return [read_entry(entry, f"file {path}") for entry in entries]
+
+
+def _sensors_as_text(flags: Iterable[str], environ: Mapping[str, str]) -> list[SensorSettings]:
+    texts = [(text, "--sensor") for text in flags]
+    variable = f"OGM_{SENSORS.upper()}"
+    in_variable = filter(str.strip, environ.get(variable, "").split(";"))
+    texts += [(text, f"environment {variable}") for text in in_variable]
+    return [read_entry(parse_entry(text, source), source) for text, source in texts]
 
 
 def _mapping(content: object, where: str) -> Mapping[Any, Any]:
@@ -118,13 +147,15 @@ def _from_environment(environ: Mapping[str, str]) -> _Source:
     known = {name.upper(): setting for name, setting in _names("OGM_{}__{}").items()}
     given: _Source = {}
     for name in filter(_is_setting, environ):
+        if "__" not in name:
+            continue  # the sensors'
         _check_known("environment ", name, known)
         given[known[name]] = _Given(environ[name], f"environment {name}")
     return given
 
 
 def _is_setting(variable: str) -> bool:
-    return variable.startswith("OGM_") and "__" in variable
+    return variable.startswith("OGM_") and ("__" in variable or variable == f"OGM_{SENSORS.upper()}")
 
 
 def _from_flags(flags: Mapping[str, Mapping[str, Any]]) -> _Source:

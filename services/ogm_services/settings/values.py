@@ -1,11 +1,13 @@
 """Values of settings: what they can be, how they are written as text, and the presets."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ogm_core.lattice import Region
+from ogm_core.types import Pose
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 Preset = Literal["lab"]
@@ -47,6 +49,27 @@ def parse_region(value: object) -> Region:
     except (TypeError, ValueError):
         pass
     raise ValueError("four numbers XMIN,YMIN,XMAX,YMAX are needed")
+
+
+def parse_pose(value: object) -> Pose:
+    """Pose from the text X,Y,THETA or from a list of three numbers; m and rad.
+
+    Raises:
+        ValueError: it is neither, or a number is not finite.
+    """
+    parts = value.split(",") if isinstance(value, str) else value
+    try:
+        if (
+            isinstance(parts, list | tuple)
+            and len(parts) == 3
+            and not any(isinstance(p, bool) for p in parts)
+        ):
+            pose = Pose(*map(float, parts))
+            if all(map(math.isfinite, pose)):
+                return pose
+    except (TypeError, ValueError):
+        pass
+    raise ValueError("three finite numbers X,Y,THETA (m, m, rad) are needed")
 
 
 def _none_from_text(value: object) -> object:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.messages import decode_pose, decode_scan
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.replies.answer import Unavailable
@@ -24,11 +25,20 @@ log = logging.getLogger(__name__)
 class Worker:
     """Owns the scan placer, and through it the map's writing side. Started once, stopped once."""
 
-    def __init__(self, queue: ScanQueue, placer: ScanPlacer, receipts: Receipts, *, max_beams: int) -> None:
+    def __init__(
+        self,
+        queue: ScanQueue,
+        placer: ScanPlacer,
+        receipts: Receipts,
+        *,
+        max_beams: int,
+        sensors: SensorRules | None = None,
+    ) -> None:
         self._queue = queue
         self._placer = placer
         self._receipts = receipts
         self._max_beams = max_beams
+        self._sensors = sensors or SensorRules()
         self._complaints = LimitedLog(log)
         self._bugs = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name="ogm-worker")
@@ -121,7 +131,9 @@ class Worker:
     def _take_scan(self, robot: str, sensor: str, item: Message) -> None:
         """Decode a scan and hand it to the placer; a bad one is counted."""
         try:
-            scan = decode_scan(item.payload, max_beams=self._max_beams)
+            scan = self._sensors.read(
+                f"{robot}/{sensor}", decode_scan(item.payload, max_beams=self._max_beams)
+            )
         except BadMessage as error:
             self._receipts.scan_dropped(robot, sensor, "malformed")
             self._complaints.warning(f"{robot}/{sensor}", str(error))

@@ -1,0 +1,140 @@
+"""Hints at sensors whose data look wrong: nothing is decided by them, each is told once per source."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ogm_core.types import Pose, Scan
+
+CLOSELY = 50
+"""So many scans of a source are looked at one by one, later ones now and then."""
+NOW_AND_THEN = 50
+"""Every so many scans."""
+ENOUGH = 10
+"""Nothing is said of a source before so many scans were looked at."""
+MAX_SOURCES = 1000
+_ROUNDING = 1.0 + 1e-6
+_SEVERAL_RANGES = 5
+_BEYOND_SHARE = 0.05
+_EMPTY_SHARE = 0.5
+_AGREEING_SHARE = 0.1
+_WIDE = math.radians(5.0)
+_FASTEST_NS = 200_000
+"""No 2D LiDAR makes more than 5,000 scans a second."""
+_UNITS = (("s", 10**9), ("ms", 10**12), ("us", 10**15))
+"""Stamps of our days, in these units, begin with these numbers, and end at 2.2 times them."""
+
+Agreement = Callable[[Scan, Pose], tuple[int, int]]
+"""Of some hits of a placed scan: how many end in cells that are more likely occupied than not, and how "
+"many."""
+Tell = Callable[[str, str], None]
+"""Told of a hint's name, and of what to do."""
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What was seen of a source."""
+
+    scans: int = 0
+    told: set[str] = field(default_factory=set)
+    range_max: float | None = None
+    range_changes: int = 0
+    looked_at: int = 0
+    first_stamp: int = 0
+    finite: int = 0
+    beyond: int = 0
+    beams: int = 0
+    empty: int = 0
+    hits: int = 0
+    agreeing: int = 0
+
+
+class Hints:
+    """Looks at scans as the map reads them. `agreement` asks the map; `sector`: it reads scans as sectors."""
+
+    def __init__(self, agreement: Agreement | None = None, *, sector: bool = False) -> None:
+        self._agreement = agreement
+        self._sector = sector
+        self._sources: dict[str, _Seen] = {}
+
+    def look(self, source: str, scan: Scan, tell: Tell) -> None:
+        """Look at a scan as it comes; `tell` is called at most once for every hint and source."""
+        seen = self._sources.get(source)
+        if seen is None:
+            if len(self._sources) >= MAX_SOURCES:
+                self._sources.clear()
+            seen = self._sources[source] = _Seen(first_stamp=scan.stamp)
+        seen.scans += 1
+        if seen.scans > CLOSELY and seen.scans % NOW_AND_THEN:
+            return
+        seen.looked_at += 1
+        seen.range_changes += seen.range_max is not None and scan.range_max != seen.range_max
+        seen.range_max = scan.range_max
+        ranges = scan.ranges
+        beyond = (ranges > np.float64(scan.range_max * _ROUNDING)) & (ranges < math.inf)
+        seen.finite += int(np.count_nonzero(np.isfinite(ranges)))
+        seen.beyond += int(np.count_nonzero(beyond))
+        seen.beams += ranges.size
+        seen.empty += int(np.count_nonzero(ranges >= np.float32(scan.range_max))) - int(
+            np.count_nonzero(beyond)
+        )
+        for slug, text in self._found(seen, scan):
+            if slug not in seen.told:
+                seen.told.add(slug)
+                tell(slug, text)
+
+    def placed(self, source: str, scan: Scan, pose: Pose, tell: Tell) -> None:
+        """Ask the map about a scan that is in it, if most of its source's beams have no return."""
+        seen = self._sources.get(source)
+        if self._agreement is None or seen is None or "ignore_no_return" in seen.told:
+            return
+        if seen.looked_at < ENOUGH or seen.empty <= _EMPTY_SHARE * seen.beams or seen.scans % NOW_AND_THEN:
+            return
+        agreeing, hits = self._agreement(scan, pose)
+        seen.agreeing += agreeing
+        seen.hits += hits
+        if seen.hits >= ENOUGH and seen.agreeing < _AGREEING_SHARE * seen.hits:
+            seen.told.add("ignore_no_return")
+            tell(
+                "ignore_no_return",
+                f"{seen.empty / seen.beams:.0%} of its beams have no return, and where the others end the "
+                "map "
+                "has no wall: if this sensor says inf for an invalid reading, set ignore_no_return for it",
+            )
+
+    def _found(self, seen: _Seen, scan: Scan) -> list[tuple[str, str]]:
+        found = []
+        turns = (scan.ranges.size - 2) * abs(scan.angle_increment) / math.tau
+        if turns > 1.0:
+            found.append(("turns", _TURNS.format(turns)))
+        if self._sector and scan.ranges.size > 1 and abs(scan.angle_increment) > _WIDE:
+            found.append(("sector", _SECTOR.format(math.degrees(abs(scan.angle_increment)))))
+        if seen.range_changes >= _SEVERAL_RANGES:
+            found.append(("range_max", _RANGE_MAX))
+        if seen.looked_at >= ENOUGH and seen.beyond > _BEYOND_SHARE * seen.finite:
+            found.append(("beyond", _BEYOND.format(seen.beyond / seen.finite, scan.range_max)))
+        if seen.scans == ENOUGH:
+            spacing = abs(scan.stamp - seen.first_stamp) / (ENOUGH - 1)
+            unit = next((unit for unit, least in _UNITS if least <= scan.stamp <= 2.2 * least), None)
+            if unit is not None and spacing < _FASTEST_NS:
+                found.append(("stamp", _STAMP.format(unit)))
+        return found
+
+
+_TURNS = "its bearings go {:.3g} times round: are they degrees? Radians are needed"
+_SECTOR = (
+    "its bearings are {:.3g} degrees apart, and the sensor model sector fills what lies between: use beam"
+)
+_RANGE_MAX = (
+    "its range_max differs from scan to scan, and readings near range_max count as no return, so walls are "
+    "erased: "
+    "set range_max for it to what the sensor can reach"
+)
+_BEYOND = (
+    "{:.0%} of its finite ranges are above its range_max of {:g} m, and are skipped: if they mean that "
+    "nothing was "
+    "there, set beyond to clear for it"
+)
+_STAMP = "its stamps look like {} since 1970: ns are needed"

@@ -1,0 +1,70 @@
+"""Feed of a log: its messages, in file order, through the scan placer that live messages go through."""
+
+from typing import Protocol
+
+from ogm_core.errors import BadMessage
+from ogm_core.logs.recorded import RecordedScan
+from ogm_core.logs.recordings import RecordingReader
+from ogm_core.placing.hints import Hints
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
+from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.types import Scan
+from ogm_services.runtime.complaints import Complaints
+from ogm_services.runtime.progress import progress_bar
+from ogm_services.settings.settings import Settings
+
+
+class LogSink(ScanSink, Protocol):
+    """Where the scans of a log go."""
+
+    withheld: set[Scan]
+    """Those that stay out of the map."""
+    robot: str
+    """Whose message is being read."""
+
+
+class LogFeed:
+    """One pass over a log, and what was counted and complained of in it.
+
+    `hold_out` N withholds scan i of the file, as it is counted there, if i % N == N // 2.
+    """
+
+    def __init__(self, settings: Settings, hold_out: int | None) -> None:
+        self.receipts = Receipts()
+        self.complaints = Complaints()
+        self.sensors = SensorRules(settings.sensor_rules())
+        self._rules = settings.placing_rules()
+        self._hold_out = hold_out
+
+    def run(self, messages: RecordingReader, sink: LogSink, text: str, hints: Hints | None = None) -> None:
+        """Send every message to `sink`, up to and including what waits for poses; `text` names the pass."""
+        placer = ScanPlacer(sink, self.receipts, self.complaints.add, self._rules, hints)
+        index = 0
+        with progress_bar(text, messages.size) as show:
+            for message in messages:
+                # A message makes scans of its own robot ready, and of no other.
+                sink.robot = message.robot
+                if isinstance(message, RecordedScan):
+                    n = self._hold_out
+                    held_out = n is not None and index % n == n // 2
+                    self._take_scan(placer, sink, message, held_out=held_out)
+                    index += 1
+                    show(messages.position)
+                else:
+                    self.receipts.pose_received(message.robot)
+                    placer.add_pose(message.robot, message.message)
+        placer.finish()
+
+    def _take_scan(self, placer: ScanPlacer, sink: LogSink, message: RecordedScan, *, held_out: bool) -> None:
+        robot, sensor = message.robot, message.sensor
+        self.receipts.scan_received(robot, sensor)
+        try:
+            scan = self.sensors.read(f"{robot}/{sensor}", message.message)
+        except BadMessage as error:
+            self.receipts.scan_dropped(robot, sensor, "malformed")
+            self.complaints.add(f"{robot}/{sensor}", "malformed", str(error))
+            return
+        if held_out:
+            sink.withheld.add(scan)
+        placer.add_scan(robot, sensor, scan)

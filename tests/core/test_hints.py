@@ -1,0 +1,88 @@
+"""Hints at sensors whose data look wrong: told once, and not without reason."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ogm_core.placing.hints import Hints
+from ogm_core.types import IDENTITY, Scan
+
+DAY = 1_700_000_000
+STEP = math.tau / 360
+
+
+def scan(n=0, ranges=None, *, stamp=None, **fields):
+    values = {"angle_min": 0.0, "angle_increment": STEP, "range_min": 0.1, "range_max": 8.0}
+    ranges = np.full(360, 2.0, np.float32) if ranges is None else np.array(ranges, np.float32)
+    stamp = DAY * 10**9 + n * 10**8 if stamp is None else stamp
+    return Scan(stamp=stamp, ranges=ranges, **(values | fields))
+
+
+def told(scans, hints=None):
+    found = []
+    hints = hints or Hints()
+    for one in scans:
+        hints.look("r/s", one, lambda slug, text: found.append((slug, text)))
+        hints.placed("r/s", one, IDENTITY, lambda slug, text: found.append((slug, text)))
+    return [slug for slug, _ in found]
+
+
+def test_of_a_sound_sensor_nothing_is_said():
+    assert told(scan(n) for n in range(300)) == []
+
+
+@pytest.mark.parametrize(("beams", "hinted"), [(361, False), (362, False), (363, True)])
+def test_bearings_that_go_round_more_than_once(beams, hinted):
+    assert told([scan(0, np.ones(beams)), scan(1, np.ones(beams))]) == ["turns"] * hinted
+
+
+def test_a_range_max_that_changes_now_and_then_is_none_that_differs_from_scan_to_scan():
+    assert told(scan(n, range_max=8.0 + (n > 20) + (n > 30)) for n in range(100)) == []
+    assert told(scan(n, range_max=8.0 + n) for n in range(100)) == ["range_max"]
+
+
+@pytest.mark.parametrize(("share", "hinted"), [(18, False), (19, True)])
+def test_more_than_5_percent_of_the_finite_ranges_beyond_range_max(share, hinted):
+    ranges = [9.0] * share + [2.0] * (360 - share)
+    assert told(scan(n, ranges) for n in range(60)) == ["beyond"] * hinted
+    assert told(scan(n, [math.inf] * 360) for n in range(60)) == []
+
+
+@pytest.mark.parametrize(("unit", "hinted"), [(1, True), (10**3, True), (10**6, True), (10**9, False)])
+def test_stamps_in_other_units(unit, hinted):
+    assert told(scan(stamp=DAY * unit + n * unit // 20) for n in range(60)) == ["stamp"] * hinted
+
+
+def test_simulated_time_is_none_of_our_days():
+    for start in (0, 10**9, 16 * 60 * 10**9, 11 * 86_400 * 10**9):
+        assert told(scan(stamp=start + n * 50_000_000) for n in range(60)) == []
+
+
+def test_wide_increments_matter_to_sectors():
+    wide = scan(0, [1.0] * 60, angle_increment=math.radians(6))
+    assert told([wide], Hints(sector=True)) == ["sector"]
+    assert told([wide]) == told([scan()], Hints(sector=True)) == []
+
+
+@pytest.mark.parametrize(
+    ("empty", "agreeing", "hinted"), [(181, 2, True), (181, 3, True), (181, 4, False), (180, 0, False)]
+)
+def test_most_beams_without_return_and_a_map_that_does_not_agree(empty, agreeing, hinted):
+    asked = []
+
+    def agreement(one, pose):
+        asked.append(one)
+        return agreeing, 32
+
+    ranges = [math.inf] * empty + [2.0] * (360 - empty)
+    assert told((scan(n, ranges) for n in range(500)), Hints(agreement)) == ["ignore_no_return"] * hinted
+    assert len(asked) == (0 if empty == 180 else 1 if hinted else 10)
+
+
+def test_sources_are_told_apart():
+    found = []
+    hints = Hints()
+    for source in ("a", "b", "a"):
+        hints.look(source, scan(0, np.ones(400)), lambda slug, _, source=source: found.append((source, slug)))
+    assert found == [("a", "turns"), ("b", "turns")]
