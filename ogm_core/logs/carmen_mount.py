@@ -11,7 +11,8 @@ import math
 from collections.abc import Iterable
 
 from ogm_core.errors import BadMessage, BadSetting
-from ogm_core.logs.carmen import CarmenLog, LaserLine
+from ogm_core.logs.carmen import CarmenLog
+from ogm_core.logs.carmen_lines import LaserLine
 from ogm_core.placing.pose_history import shorter_arc
 from ogm_core.types import IDENTITY, Pose, PoseStamped
 
@@ -85,7 +86,7 @@ class _Survey:
         if not all(map(math.isfinite, robot)):
             self._agree = False
             return
-        mount = _seen_from(robot, laser)
+        mount = seen_from(robot, laser)
         if self._sweeps == 1:
             self._first = mount
         near = math.hypot(mount.x - self._first.x, mount.y - self._first.y) <= SAME_M
@@ -103,7 +104,7 @@ class _Survey:
             self._parameters[tokens[1]] = value
 
 
-def _seen_from(robot: Pose, laser: Pose) -> Pose:
+def seen_from(robot: Pose, laser: Pose) -> Pose:
     """The laser's pose in the robot's frame, of two poses in one frame."""
     dx, dy = laser.x - robot.x, laser.y - robot.y
     c, s = math.cos(robot.theta), math.sin(robot.theta)

@@ -1,42 +1,90 @@
 """JSON lines logs: a message's fields, "type", "robot" and, for scans, "sensor", one message a line.
 
-`ranges` is a list of numbers, read as float32; "inf", "-inf" and "nan" stand in it as strings.
+`ranges` is a list of numbers, read as float32; "inf", "-inf" and "nan" stand in it as strings, or as Python
+writes them: Infinity, -Infinity, NaN.
 """
 
 import json
 import math
-from typing import Any, NoReturn, cast
+from dataclasses import replace
+from typing import Any, cast
 
-import numpy as np
 import orjson
 
 from ogm_core.errors import BadMessage
-from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan, text_ranges
+from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan, no_returns, text_ranges
 from ogm_core.types import Ranges
 from ogm_core.wire.keys import NAME
-from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_fields, scan_from_fields
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_from_fields
 
 _DEEP = 100
 """A line of more brackets is left to Python's reader, which lets them nest less deep."""
 _NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 
 
-def parse_line(
-    line: bytes, *, range_max: float | None = None, max_beams: int = DEFAULT_MAX_BEAMS
-) -> Recorded | None:
-    """Read one line; None if it is blank. `range_max` (m) replaces a scan's own.
+class JsonLog:
+    """Reads the lines of one log, in their order.
 
-    Raises:
-        BadMessage: it is not JSON, or not a well-formed message.
+    `range_max` (m) replaces a scan's own; ranges at or above it are then infinite, "no return". A message
+    without `seq` gets the number after the largest so far of its robot's poses, or of its sensor's scans, in
+    its run.
     """
-    if not line.strip():
-        return None
-    if (fields := _quickly(line)) is not None:
-        try:
-            return _recorded(fields, range_max, max_beams)
-        except BadMessage:
-            pass  # of a whole number beyond 64 bits orjson makes a float; json says better what is wrong
-    return _recorded(_fields(line), range_max, max_beams)
+
+    def __init__(self, *, range_max: float | None = None, max_beams: int = DEFAULT_MAX_BEAMS) -> None:
+        self._range_max = range_max
+        self._max_beams = max_beams
+        self._next: dict[tuple[str, str | None, str], int] = {}
+        """The next seq of a robot's poses (None), or of a sensor's scans, in a run."""
+
+    def parse_line(self, line: bytes) -> Recorded | None:
+        """Read one line; None if it is blank.
+
+        Raises:
+            BadMessage: it is not JSON, or not a well-formed message.
+        """
+        if not line.strip():
+            return None
+        if (fields := _quickly(line)) is not None:
+            try:
+                return self.recorded(fields)
+            except BadMessage:
+                pass  # of a whole number beyond 64 bits orjson makes a float; json says better what is wrong
+        return self.recorded(_fields(line))
+
+    def recorded(self, fields: dict[str, Any]) -> Recorded:
+        """The message that a line's fields are; BadMessage if they are none."""
+        counted = "seq" not in fields
+        if counted:
+            fields["seq"] = 0
+        recorded = self._message(fields)
+        sensor = recorded.sensor if isinstance(recorded, RecordedScan) else None
+        source = recorded.robot, sensor, recorded.message.run
+        if counted:
+            recorded = _numbered(recorded, self._next.get(source, 0))
+        self._next[source] = max(self._next.get(source, 0), recorded.message.seq + 1)
+        return recorded
+
+    def _message(self, fields: dict[str, Any]) -> Recorded:
+        match fields.get("type"):
+            case "pose":
+                return RecordedPose(_name(fields, "robot"), pose_from_fields(fields))
+            case "scan":
+                robot, sensor = _name(fields, "robot"), _name(fields, "sensor")
+                ranges = _ranges(fields.get("ranges"))
+                if self._range_max is not None:
+                    fields["range_max"] = self._range_max
+                    ranges = no_returns(ranges, self._range_max)
+                return RecordedScan(
+                    robot, sensor, scan_from_fields(fields, ranges, max_beams=self._max_beams)
+                )
+            case other:
+                raise BadMessage(f"type: 'pose' or 'scan' is needed, got {_shown(other)}")
+
+
+def _numbered(recorded: Recorded, seq: int) -> Recorded:
+    if isinstance(recorded, RecordedPose):
+        return replace(recorded, message=replace(recorded.message, seq=seq))
+    return replace(recorded, message=replace(recorded.message, seq=seq))
 
 
 def _quickly(line: bytes) -> dict[str, Any] | None:
@@ -55,7 +103,7 @@ def _quickly(line: bytes) -> dict[str, Any] | None:
 
 def _fields(line: bytes) -> dict[str, Any]:
     try:
-        fields = json.loads(line.decode(), parse_constant=_refuse_constant)
+        fields = json.loads(line.decode())
     except json.JSONDecodeError as error:
         raise BadMessage(f"not JSON ({error.msg}, column {error.colno})") from error
     except (ValueError, RecursionError) as error:
@@ -63,39 +111,6 @@ def _fields(line: bytes) -> dict[str, Any]:
     if not isinstance(fields, dict):
         raise BadMessage("not a JSON object")
     return fields
-
-
-def _recorded(fields: dict[str, Any], range_max: float | None, max_beams: int) -> Recorded:
-    """The message that a line's fields are."""
-    match fields.get("type"):
-        case "pose":
-            return RecordedPose(_name(fields, "robot"), pose_from_fields(fields))
-        case "scan":
-            robot, sensor = _name(fields, "robot"), _name(fields, "sensor")
-            if range_max is not None:
-                fields["range_max"] = range_max
-            ranges = _ranges(fields.get("ranges"))
-            return RecordedScan(robot, sensor, scan_from_fields(fields, ranges, max_beams=max_beams))
-        case other:
-            raise BadMessage(f"type: 'pose' or 'scan' is needed, got {_shown(other)}")
-
-
-def to_line(recorded: Recorded) -> str:
-    """JSON form of a message, without the line's end; `parse_line` gives the same message, bit for bit."""
-    fields: dict[str, Any]
-    if isinstance(recorded, RecordedPose):
-        message = recorded.message
-        fields = {"type": "pose", "robot": recorded.robot, "stamp": message.stamp, "seq": message.seq}
-        fields |= {"run": message.run, **message.pose._asdict()}
-    else:
-        fields = {"type": "scan", "robot": recorded.robot, "sensor": recorded.sensor}
-        fields |= scan_fields(recorded.message)
-        fields["ranges"] = _short(recorded.message.ranges)
-    return json.dumps(fields, allow_nan=False, separators=(",", ":"))
-
-
-def _refuse_constant(text: str) -> NoReturn:
-    raise ValueError(f'bare {text}; "inf", "-inf" and "nan" are strings, in ranges only')
 
 
 def _shown(value: object) -> str:
@@ -128,15 +143,3 @@ def _number(value: object, k: int) -> float:
     if isinstance(value, str) and value in _NOT_FINITE:
         return _NOT_FINITE[value]
     raise BadMessage(f"ranges[{k}]: a number, 'inf', '-inf' or 'nan' is needed, got {_shown(value)}")
-
-
-def _short(ranges: Ranges) -> list[float | str]:
-    """Numbers of few digits that read as these float32: 0.1, where the float32 is 0.10000000149...
-
-    The shortest text of a float32 is read by way of float64; where rounding twice gave a neighbour, all
-    digits are kept.
-    """
-    short = ranges.astype(str).astype(np.float64)
-    with np.errstate(over="ignore"):
-        chosen = np.where(short.astype(np.float32) == ranges, short, ranges.astype(np.float64))
-    return [value if math.isfinite(value) else str(value) for value in chosen.tolist()]

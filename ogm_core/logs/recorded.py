@@ -49,3 +49,17 @@ def text_ranges(values: Sequence[float]) -> Ranges:
         ranges = np.array(values, dtype=np.float64).astype(np.float32)
     ranges.flags.writeable = False
     return ranges
+
+
+def no_returns(ranges: Ranges, range_max: float) -> Ranges:
+    """Ranges in which every one at or above `range_max`, m, is infinite: "no return".
+
+    It is compared as the float32 that ranges are, so that 80.99 is at 80.99. Read-only, the same array if
+    there is none.
+    """
+    beyond = ranges >= np.float32(range_max)
+    if not beyond.any():
+        return ranges
+    changed = np.where(beyond, np.float32(np.inf), ranges)
+    changed.flags.writeable = False
+    return changed

@@ -1,7 +1,8 @@
 """Recorded logs: what robots published, one message a line, read and written in file order.
 
-JSON lines (jsonlines) are read and written, CARMEN logs (carmen) are read. Times in a log
-may be wrong, repeated or zero, so the order of the lines is the order of the messages: nothing is sorted.
+JSON lines (jsonlines, jsonl_writer) are read and written, CARMEN logs (carmen) and pose graphs with laser
+lines (g2o) are read. Times in a log may be wrong, repeated or zero, so the order of the lines is the order of
+the messages: nothing is sorted.
 """
 
 import gzip
@@ -9,30 +10,40 @@ import io
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, BinaryIO, Self
 
-from isal import igzip, isal_zlib
-
 from ogm_core.errors import BadMessage, BadRecording, BadSetting
-from ogm_core.logs import jsonlines
-from ogm_core.logs.carmen import LASERS_READ, CarmenLog
+from ogm_core.logs.carmen import CarmenLog
+from ogm_core.logs.carmen_lines import LASERS
 from ogm_core.logs.carmen_mount import mount_of_laser
-from ogm_core.logs.jsonlines import to_line
+from ogm_core.logs.g2o import GraphLog
+from ogm_core.logs.jsonl_writer import JSON_SUFFIXES, cannot, to_line, write_jsonl
+from ogm_core.logs.jsonlines import JsonLog
 from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan
-from ogm_core.logs.sniff import CARMEN_SUFFIXES, HEAD, JSON_SUFFIXES, folder, hint, why_not
+from ogm_core.logs.sniff import (
+    BOM,
+    CARMEN_SUFFIXES,
+    G2O_SUFFIXES,
+    HEAD,
+    OF_GRAPH,
+    folder,
+    hint,
+    kind_of_text,
+    unpacked,
+    why_not,
+)
 from ogm_core.logs.unpacking import GzipContent
 from ogm_core.types import IDENTITY
-from ogm_core.whole_files import whole_file
 from ogm_core.wire.keys import check_name
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
 
 __all__ = [
     "CARMEN_SUFFIXES",
+    "G2O_SUFFIXES",
     "JSON_SUFFIXES",
     "Recorded",
     "RecordedPose",
@@ -114,6 +125,7 @@ class RecordingReader:
         self._position = 0
         self._head = b""
         self._carmen: CarmenLog | None = None
+        self._graph: GraphLog | None = None
 
     @property
     def position(self) -> int:
@@ -142,7 +154,7 @@ class RecordingReader:
             is_bag = any(entry.name == "metadata.yaml" for entry in self.path.iterdir())
             raise BadRecording(f"{self.path}: {folder(is_bag=is_bag)}") from error
         except OSError as error:
-            raise BadRecording(_cannot(self.path, "read", error)) from error
+            raise BadRecording(cannot(self.path, "read", error)) from error
 
     def _begin(self, file: BinaryIO) -> None:
         """Refuse what is not read, and get ready for the first line."""
@@ -151,12 +163,12 @@ class RecordingReader:
             self._head = file.read(HEAD)
             file.seek(0)
         except OSError as error:
-            raise BadRecording(_cannot(self.path, "read", error)) from error
+            raise BadRecording(cannot(self.path, "read", error)) from error
         refusal = why_not(self.path.name, self._head)
         if refusal is not None:
             raise BadRecording(f"{self.path}: {refusal}")
         self._file = file
-        if self._named(CARMEN_SUFFIXES):
+        if self._named(CARMEN_SUFFIXES) or (self._named(G2O_SUFFIXES) and not self._odometry):
             self._carmen = self._carmen_log(file)
         elif self._odometry:
             raise BadRecording(
@@ -185,12 +197,7 @@ class RecordingReader:
             self._file = None
 
     def __iter__(self) -> Iterator[Recorded]:
-        parse: Parse
-        if self._carmen is not None:
-            parse = self._carmen.parse_line
-        else:
-            parse = partial(jsonlines.parse_line, range_max=self._range_max, max_beams=self._max_beams)
-        for recorded in read_lines(self._lines(), parse, self._complain):
+        for recorded in read_lines(self._lines(), self._parse(), self._complain):
             renamed = self._rename(recorded)
             if isinstance(recorded, RecordedScan):
                 self.scans += 1
@@ -200,6 +207,15 @@ class RecordingReader:
         if not self.scans:
             raise BadRecording(f"{self.path}: holds no scan{self._instead()}")
 
+    def _parse(self) -> Parse:
+        if self._carmen is None:
+            return JsonLog(range_max=self._range_max, max_beams=self._max_beams).parse_line
+        if self._odometry:
+            return self._carmen.parse_line
+        is_graph = self._named(G2O_SUFFIXES) or kind_of_text(unpacked(self._head)) == "g2o"
+        self._graph = GraphLog(self._carmen, is_graph=is_graph or None)
+        return self._graph.parse_line
+
     def _lines(self) -> Iterator[bytes]:
         if self._file is None:
             raise ValueError("a RecordingReader is read inside its `with`")
@@ -207,6 +223,7 @@ class RecordingReader:
         if self._named((".gz",)):
             lines = io.BufferedReader(GzipContent(self._file), _BUFFER)
         try:
+            yield next(iter(lines), b"").removeprefix(BOM)
             for line in lines:  # noqa: UP028 (`yield from` would close the file along with this generator)
                 yield line
         except EOFError as error:
@@ -214,7 +231,7 @@ class RecordingReader:
         except gzip.BadGzipFile as error:
             raise BadRecording(f"{self.path}: not gzip, or corrupt ({error})") from error
         except OSError as error:
-            raise BadRecording(_cannot(self.path, "read", error)) from error
+            raise BadRecording(cannot(self.path, "read", error)) from error
 
     def _named(self, suffixes: tuple[str, ...]) -> bool:
         return self.path.name.lower().endswith(suffixes)
@@ -238,49 +255,16 @@ class RecordingReader:
         return replace(recorded, robot=self._new_name)
 
     def _instead(self) -> str:
+        if self._graph is not None and self._graph.is_graph and not self.malformed:
+            return f"; it is a g2o pose graph without ROBOTLASER1 lines: {OF_GRAPH}"
         text = f", only {self.poses} poses" if self.poses else ""
         if self.malformed:
             text += f"; {self.malformed} lines are malformed, first {self.complaints[0]}"
         if self._carmen is not None and self._carmen.unread:
-            text += f"; found are {_listed(self._carmen.unread)}; read are {' and '.join(LASERS_READ)}"
+            text += f"; found are {_listed(self._carmen.unread)}; read are {' and '.join(LASERS)}"
         return text + hint(self.path.name, self._head)
-
-
-def write_jsonl(path: Path, messages: Iterable[Recorded]) -> None:
-    """Write a JSON lines log, gzipped if `path` ends in .gz; equal messages give equal files.
-
-    The file takes its name when it is complete: a failure on the way leaves what was there before.
-
-    Raises:
-        BadRecording: the name does not end in .jsonl or .jsonl.gz, or the file cannot be written.
-    """
-    if not path.name.lower().endswith(JSON_SUFFIXES):
-        raise BadRecording(f"{path}: recordings are written as {' or '.join(JSON_SUFFIXES)}")
-    if path.is_dir():
-        raise BadRecording(f"{path}: cannot be written (it is a folder)")
-    try:
-        with _written(path) as file:
-            for recorded in messages:
-                file.write(to_line(recorded).encode() + b"\n")
-    except OSError as error:
-        raise BadRecording(_cannot(path, "written", error)) from error
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[IO[bytes] | gzip.GzipFile]:
-    with whole_file(path) as file:
-        if path.name.lower().endswith(".gz"):
-            # No name and no time in the header: they would make equal recordings differ.
-            with igzip.GzipFile("", "wb", isal_zlib.ISAL_BEST_COMPRESSION, file, 0) as stream:  # type: ignore[no-untyped-call]
-                yield stream
-        else:
-            yield file
 
 
 def _listed(counts: Counter[str]) -> str:
     shown = [f"{count} {name}" for name, count in counts.most_common(_SHOWN)]
     return ", ".join(shown) + (" and others" if len(counts) > _SHOWN else "")
-
-
-def _cannot(path: Path, what: str, error: OSError) -> str:
-    return f"{path}: cannot be {what} ({error.strerror or error})"

@@ -7,11 +7,19 @@ import re
 import zlib
 from typing import Literal
 
+from ogm_core.logs.jsonl_writer import JSON_SUFFIXES
+
 HEAD = 4096
 """How many bytes of a file are looked at."""
-JSON_SUFFIXES = (".jsonl", ".jsonl.gz")
 CARMEN_SUFFIXES = (".log", ".log.gz", ".clf", ".clf.gz")
-READ = f"JSON lines ({', '.join(JSON_SUFFIXES)}) and CARMEN ({', '.join(CARMEN_SUFFIXES)})"
+G2O_SUFFIXES = (".g2o", ".g2o.gz")
+READ = (
+    f"JSON lines ({', '.join(JSON_SUFFIXES)}), CARMEN ({', '.join(CARMEN_SUFFIXES)}) "
+    f"and g2o with laser lines ({', '.join(G2O_SUFFIXES)})"
+)
+BOM = b"\xef\xbb\xbf"
+"""The mark that some programs put before UTF-8 text."""
+OF_GRAPH = "give the log that it was made of"
 
 _SEE = "see docs/logs.md"
 _CONVERT = f"convert it to JSON lines ({_SEE})"
@@ -28,12 +36,15 @@ _SIGNATURES = (
     (b"BZh", "packed with bzip2", "unpack it, or pack it with gzip"),
     (b"\x28\xb5\x2f\xfd", "packed with zstd", "unpack it, or pack it with gzip"),
 )
+_GFS = "GridFastSLAM's output", "make a CARMEN log of it with GMapping's gfs2log"
+_GFS_LINE = re.compile(rb"^LASER_READING\s", re.MULTILINE)
+_OUR_ARRAY = b"log_odds.npy"
 _TAR = (257, b"ustar")  # where a tar archive says that it is one
 _NAMES = (
     ((".bag",), "a ROS 1 bag", _CONVERT),
     ((".mcap",), "an MCAP file, as of a ROS 2 bag", _CONVERT),
     ((".db3",), "an SQLite database, as of a ROS 2 bag", _CONVERT),
-    ((".g2o",), "a g2o pose graph", _CONVERT),
+    ((".npz", ".npy"), "NumPy arrays", _CONVERT),
     ((".rawlog",), "an MRPT rawlog", f"convert it with MRPT's rawlog2carmen, or to JSON lines ({_SEE})"),
     ((".zip", ".7z", ".tar", ".tgz"), "an archive", _UNPACK),
     ((".json",), "a JSON document", f"write it as JSON lines, one message a line ({_SEE})"),
@@ -48,6 +59,13 @@ _KINDS: tuple[tuple[re.Pattern[bytes], Kind], ...] = (
     (re.compile(rb"[{\[]"), "JSON"),
 )
 
+_TEXTS: dict[Kind, tuple[str, str]] = {
+    "CARMEN": ("a CARMEN log", ".log"),
+    "JSON lines": ("JSON lines", ".jsonl"),
+    "g2o": ("a g2o pose graph", ".g2o"),
+}
+"""What is read under its own name, and how that ends."""
+
 
 def why_not(name: str, head: bytes) -> str | None:
     """Why a file is not read as a log; None if it may be one.
@@ -61,7 +79,7 @@ def why_not(name: str, head: bytes) -> str | None:
     if (refusal := _by_content(content)) is not None:
         return refusal
     lower = name.lower()
-    if not lower.endswith(JSON_SUFFIXES + CARMEN_SUFFIXES):
+    if not lower.endswith(JSON_SUFFIXES + CARMEN_SUFFIXES + G2O_SUFFIXES):
         return _by_name(name, content, packed)
     if packed and not lower.endswith(".gz"):
         return f"gzip by its content, but not by its name: rename it to {name}.gz"
@@ -74,12 +92,14 @@ def why_not(name: str, head: bytes) -> str | None:
 
 def hint(name: str, head: bytes) -> str:
     """What a log without a scan may be instead, to be added to the complaint; "" if that is not known."""
-    content, carmen = unpacked(head), name.lower().endswith(CARMEN_SUFFIXES)
+    content, carmen = unpacked(head), name.lower().endswith(CARMEN_SUFFIXES + G2O_SUFFIXES)
     kind, packed = kind_of_text(content), head.startswith(_GZIP)
     if kind == "JSON lines" and carmen:
         return f"; it looks like JSON lines: rename it to {_renamed(name, '.jsonl', packed)}"
     if kind == "CARMEN" and not carmen:
         return f"; it looks like a CARMEN log: rename it to {_renamed(name, '.log', packed)}"
+    if kind == "g2o" and not carmen:
+        return f"; it looks like a g2o pose graph: rename it to {_renamed(name, '.g2o', packed)}"
     if kind == "JSON":
         return f"; it looks like one JSON document: write one message a line ({_SEE})"
     return "; it is binary, not text" if b"\0" in content else ""
@@ -93,11 +113,11 @@ def folder(*, is_bag: bool) -> str:
 
 
 def unpacked(head: bytes) -> bytes:
-    """The begin of what a gzip file holds, as far as `head` reaches; that of any other file as it is."""
+    """The begin of what a file holds, unpacked if it is gzip, without a `BOM`, as far as `head` reaches."""
     if not head.startswith(_GZIP):
-        return head
+        return head.removeprefix(BOM)
     try:
-        return zlib.decompressobj(wbits=31).decompress(head, HEAD)
+        return zlib.decompressobj(wbits=31).decompress(head, HEAD).removeprefix(BOM)
     except zlib.error:
         return b""  # what is corrupt is told when it is read
 
@@ -112,6 +132,10 @@ def kind_of_text(content: bytes) -> Kind | None:
 
 
 def _by_content(content: bytes) -> str | None:
+    if content.startswith(b"PK\x03\x04"):
+        name = content[30:][: int.from_bytes(content[26:28], "little")]  # of its first member
+        if name.endswith(b".npy"):
+            return _of_arrays(name)
     for signature, what, advice in _SIGNATURES:
         if content.startswith(signature):
             return _not_read(what, advice)
@@ -120,14 +144,24 @@ def _by_content(content: bytes) -> str | None:
         return _not_read("a tar archive", _UNPACK)
     if _is_utf16(content):
         return "UTF-16 text: convert it to UTF-8 (iconv -f UTF-16 -t UTF-8)"
-    if kind_of_text(content) == "g2o":
-        return _not_read("a g2o pose graph", _CONVERT)
+    if _GFS_LINE.search(content):
+        return _not_read(*_GFS)
     return None
 
 
+def _of_arrays(first: bytes) -> str:
+    """What to say of an .npz file, by the name of its first member."""
+    if first == _OUR_ARRAY:
+        return "that is a map, not a log: `ogm mapper --start-map` takes it"
+    return _not_read("NumPy arrays", _CONVERT)
+
+
 def _by_name(name: str, content: bytes, packed: bool) -> str:
-    if (kind := kind_of_text(content)) in ("CARMEN", "JSON lines"):
-        what, suffix = ("a CARMEN log", ".log") if kind == "CARMEN" else ("JSON lines", ".jsonl")
+    if name.lower().removesuffix(".gz").endswith(".gfs"):
+        return _not_read(*_GFS)  # its first lines may be CARMEN's
+    kind = kind_of_text(content)
+    if kind is not None and kind in _TEXTS:
+        what, suffix = _TEXTS[kind]
         new = _renamed(name, suffix, packed)
         return f"{what} by its content, but not by its name: rename it to {new}"
     for suffixes, what, advice in _NAMES:

@@ -75,6 +75,8 @@ def test_range_max_replaces_that_of_both_forms():
         b"ROBOTLASER2 0 1",
         b"RLASER",
         b"SYNC",
+        b"NMEA-GGA 1 2 3",
+        b"X-IMU:RAW",
     ],
 )
 def test_other_carmen_lines_are_nothing(text):
@@ -125,9 +127,10 @@ def test_a_malformed_line_does_not_settle_which_form_is_read():
         (b"\xff\x00", "not a CARMEN message"),
         (b'{"type": "pose"}', "not a CARMEN message"),
         (b"A" * 65, "not a CARMEN message"),
-        (b"FLASER", "FLASER: 180, 181, 360 or 361 .* got b''"),
-        (flaser([1] * 90), "FLASER: 180, 181, 360 or 361 .* got b'90'"),
-        (b"FLASER 1e2 1", "FLASER: 180, 181, 360 or 361"),
+        (b"-GGA", "not a CARMEN message"),
+        (b"FLASER", "FLASER: num_readings: missing, the line has only 1 fields"),
+        (flaser([1] * 90), "FLASER: the bearings of 90 beams are not known .*`PARAM laser_front_laser_res"),
+        (b"FLASER 1e2 1", "FLASER: num_readings: a whole number is needed, got b'1e2'"),
         (flaser([1] * 180)[:-5], "FLASER: 191 fields are needed for 180 beams, got 190"),
         (flaser([1] * 180) + b" 1", "FLASER: 191 fields are needed for 180 beams, got 192"),
         (flaser([1] * 179 + ["x"]), r"FLASER: ranges\[179\]: a number is needed, got b'x'"),
@@ -136,7 +139,6 @@ def test_a_malformed_line_does_not_settle_which_form_is_read():
         (flaser([1] * 180, pose="0 0 inf"), "FLASER: laser_pose_theta: a finite number"),
         (flaser([1] * 180, odometry="1 b c"), "FLASER: robot_pose_y: a number is needed, got b'b'"),
         (flaser([1] * 180, ipc_time="now"), "FLASER: ipc_time: a number is needed"),
-        (flaser([1] * 180, ipc_time="-1"), "FLASER: stamp: "),
         (flaser([1] * 180, ipc_time="nan"), "FLASER: ipc_time: a finite number"),
         (flaser([1] * 180, ipc_time="1e300"), "FLASER: ipc_time: a finite number|FLASER: stamp: "),
         (flaser([1] * 180, ipc_time="1e10"), "FLASER: stamp: 0 to"),
@@ -185,7 +187,6 @@ def test_a_malformed_carmen_line_is_named_and_passed_over(text, reason):
         (robotlaser([1], pose="0 inf 0"), "laser_pose_y: a finite number"),
         (robotlaser([1], robot="0 0 x"), "robot_pose_theta: a number"),
         (robotlaser([1], safety="0 0 0 0 ?"), "turn_axis: a number"),
-        (robotlaser([1], ipc_time="-0.1"), "stamp: 0 to"),
         (robotlaser([1], ipc_time="inf"), "ipc_time: a finite number"),
     ],
 )
@@ -208,8 +209,75 @@ def test_max_beams_holds_for_both_forms():
 @pytest.mark.parametrize("line", [flaser, robotlaser])
 def test_carmen_ranges_may_be_any_float(line):
     [scan], _ = read(line(["nan", "inf", "-inf", "0", "-1", "81.83", "1e39"] + [1] * 173))
-    expected = np.array([np.nan, np.inf, -np.inf, 0, -1, 81.83, np.inf], np.float32)
+    expected = np.array([np.nan, np.inf, -np.inf, 0, -1, np.inf, np.inf], np.float32)
     np.testing.assert_array_equal(scan.message.ranges[:7], expected)
+
+
+@pytest.mark.parametrize("line", [flaser, robotlaser])
+def test_ranges_at_or_above_the_maximum_are_no_returns(line):
+    """Compared as the float32 that ranges are: of 80.99 that is below the number that the log says."""
+    assert float(np.float32(80.99)) < 80.99
+    [scan], _ = read(line(["80.98", "80.99", "81", "-inf", "nan"] + [1] * 175), range_max=80.99)
+    expected = np.array([80.98, np.inf, np.inf, -np.inf, np.nan, 1], np.float32)
+    np.testing.assert_array_equal(scan.message.ranges[:6], expected)
+    assert not scan.message.ranges.flags.writeable
+
+
+def test_the_maximum_is_the_lines_own_unless_it_is_given():
+    for text, least in ((flaser([79.99, 80] * 90), 80.0), (robotlaser([30.49, 30.5]), 30.5)):
+        [scan], _ = read(text)
+        assert scan.message.range_max == least
+        assert np.isinf(scan.message.ranges[:2]).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("line", [flaser, robotlaser])
+@pytest.mark.parametrize("time", ["-1", "-0.25", "-1e9"])
+def test_a_sweep_before_all_time_is_placed_by_its_own_pose(line, time):
+    [scan], complaints = read(line([1] * 180, ipc_time=time))
+    assert complaints == []
+    assert (scan.message.stamp, scan.message.pose) == (0, Pose(1.5, -2.5, 0.25))
+
+
+@pytest.mark.parametrize("line", [flaser, robotlaser])
+def test_a_sweep_before_all_time_has_no_place_among_odometry(line):
+    messages, [(_, said)] = read(line([1] * 180, ipc_time="-1"), mount=IDENTITY)
+    assert messages == []
+    assert said.startswith(f"{line([]).split()[0].decode()}: stamp: 0 to")
+
+
+RESOLUTION = b"PARAM laser_front_laser_resolution %s 1071078718.4 merci 1071078718.4"
+
+
+@pytest.mark.parametrize(
+    ("beams", "degrees", "first"), [(401, "0.25", -50), (541, "0.5", -135), (90, "2", -90)]
+)
+def test_the_step_of_another_laser_is_the_logs_parameter(beams, degrees, first):
+    other = b"PARAM laser_rear_laser_resolution 3 h 0"
+    [scan], complaints = read(other, RESOLUTION % degrees.encode(), RESOLUTION % b"7", flaser([1] * beams))
+    assert complaints == []
+    assert math.degrees(scan.message.angle_increment) == pytest.approx(float(degrees))
+    assert math.degrees(scan.message.angle_min) == pytest.approx(first)
+    assert scan.message.ranges.size == beams
+
+
+def test_the_steps_of_the_lms_are_what_they_are_whatever_a_parameter_says():
+    [scan], _ = read(RESOLUTION % b"0.25", flaser([1] * 180))
+    assert math.degrees(scan.message.angle_increment) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("value", [b"", b"auto", b"0", b"-1", b"nan", b"inf", b"0_5"])
+def test_a_step_that_is_none_is_none(value):
+    messages, [(_, said)] = read(RESOLUTION % value, flaser([1] * 541))
+    assert messages == []
+    assert re.match("FLASER: the bearings of 541 beams are not known", said), said
+
+
+def test_beams_that_go_round_more_than_once_are_refused():
+    messages, [(_, said)] = read(RESOLUTION % b"1", flaser([1] * 361), flaser([1] * 362))
+    assert len(messages) == 1
+    assert said.startswith(
+        "FLASER: 362 beams, 1 degrees apart by PARAM laser_front_laser_resolution, go round"
+    )
 
 
 @pytest.mark.parametrize("line", [flaser, robotlaser])

@@ -108,6 +108,48 @@ def test_a_range_max_that_is_none_is_refused(tmp_path, range_max):
         RecordingReader(tmp_path / "log.jsonl", range_max=range_max)
 
 
+@pytest.mark.parametrize("name", ["log.jsonl", "log.jsonl.gz", "log.log", "log.g2o"])
+def test_a_mark_before_the_text_is_no_part_of_it(tmp_path, name):
+    """Windows programs write one, and tell UTF-8 by it."""
+    texts = {
+        "log.log": flaser([1] * 180),
+        "log.g2o": b"VERTEX2 0 0 0 0\n" + robotlaser([1]),
+    }
+    content = b"\xef\xbb\xbf" + texts.get(name, line(SCAN)) + b"\n"
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(content) if name.endswith("gz") else content)
+    messages, reader = read_all(path)
+    assert (len(messages), reader.malformed) == (1, 0)
+
+
+def test_a_mark_does_not_hide_what_a_file_is(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(b"\xef\xbb\xbf[" + line(SCAN) + b"]")
+    with pytest.raises(BadRecording, match="one JSON array, not JSON lines"):
+        read_all(path)
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "log.log", "log.g2o"])
+def test_ranges_at_and_above_a_given_maximum_are_no_returns(saved, name):
+    """Compared as the float32 that ranges are, of which 5.7 is below the number 5.7."""
+    assert float(np.float32(5.7)) < 5.7
+    ranges = ["5.69", "5.7", "5.8", "80", "nan"]
+    lines = {
+        "log.jsonl": [line(SCAN, ranges=[5.69, 5.7, 5.8, 80, "nan"])],
+        "log.log": [robotlaser(ranges)],
+        "log.g2o": [b"VERTEX2 0 0 0 0", robotlaser(ranges)],
+    }
+    [scan], _ = read_all(saved(name, *lines[name]), range_max=5.7)
+    assert scan.message.range_max == 5.7
+    expected = np.array([5.69, np.inf, np.inf, np.inf, np.nan], np.float32)
+    np.testing.assert_array_equal(scan.message.ranges, expected)
+
+
+def test_the_ranges_of_json_lines_stay_what_they_are_without_one(saved):
+    [scan], _ = read_all(saved("log.jsonl", line(SCAN, ranges=[29, 30, 31])))
+    np.testing.assert_array_equal(scan.message.ranges, np.float32([29, 30, 31]))
+
+
 @pytest.mark.parametrize("name", ["log.jsonl", "log.log"])
 def test_max_beams_holds_for_every_format(saved, name):
     long, short = (
@@ -265,8 +307,8 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "scans", "beams", "shortest", "longest"),
     [
-        ("intel/intel-corrected.log.gz", 910, 180, 0.23, 81.83),
-        ("freiburg-079/freiburg-079-corrected.log.gz", 4791, 360, 0.12, 81.91),
+        ("intel/intel-corrected.log.gz", 910, 180, 0.23, 25.38),
+        ("freiburg-079/freiburg-079-corrected.log.gz", 4791, 360, 0.12, 36.62),
     ],
 )
 def test_recorded_buildings_are_read_whole(name, scans, beams, shortest, longest):
@@ -274,7 +316,8 @@ def test_recorded_buildings_are_read_whole(name, scans, beams, shortest, longest
     assert (reader.scans, reader.poses, reader.malformed) == (scans, 0, 0)
     ranges = np.array([message.message.ranges for message in messages])
     assert ranges.shape == (scans, beams)
-    assert (ranges.min(), ranges.max()) == (np.float32(shortest), np.float32(longest))
+    assert (ranges.min(), ranges[np.isfinite(ranges)].max()) == (np.float32(shortest), np.float32(longest))
+    assert np.isinf(ranges).any(), "what says 81.83 or 81.91 is no return"
     assert all(message.message.pose is not None for message in messages)
 
 

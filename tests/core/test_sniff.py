@@ -7,16 +7,24 @@ import sqlite3
 import tarfile
 import zipfile
 
+import numpy as np
 import pytest
 
 from log_lines import POSE, SCAN, flaser, line, odom, robotlaser
 from ogm_core.errors import BadRecording
+from ogm_core.files.map_files import encode_npz
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
 from ogm_core.logs.recordings import RecordingReader
+from ogm_core.types import IDENTITY, Scan
 
 CARMEN = b"# CARMEN Logfile\n\n" + odom() + b"\n" + flaser([1] * 180) + b"\n"
 JSON_LINES = line(POSE) + b"\n" + line(SCAN) + b"\n"
 CONVERT = "convert it to JSON lines (see docs/logs.md)"
-READ = "JSON lines (.jsonl, .jsonl.gz) and CARMEN (.log, .log.gz, .clf, .clf.gz)"
+READ = (
+    "JSON lines (.jsonl, .jsonl.gz), CARMEN (.log, .log.gz, .clf, .clf.gz) "
+    "and g2o with laser lines (.g2o, .g2o.gz)"
+)
 
 
 def zipped(content):
@@ -77,9 +85,9 @@ def test_bags_are_known_by_their_content(complaint, tmp_path, name):
         ("map.bag", "a ROS 1 bag"),
         ("map.mcap", "an MCAP file"),
         ("map.db3", "an SQLite database"),
-        ("map.G2O", "a g2o pose graph"),
         ("map.rawlog", "an MRPT rawlog"),
         ("map.csv", "a table"),
+        ("map.npy", "NumPy arrays"),
         ("map.csv.gz", "a table"),
         ("map.json", "a JSON document"),
         ("map.zip", "an archive"),
@@ -193,12 +201,54 @@ def test_text_of_one_format_under_the_name_of_another(complaint):
     assert said.endswith("; it looks like JSON lines: rename it to log.jsonl")
 
 
-@pytest.mark.parametrize("first", ["VERTEX_SE2 0 0 0 0", "EDGE_SE2 0 1 1 0 0", "VERTEX2 0 0 0 0", "FIX 0"])
-@pytest.mark.parametrize("name", ["graph.g2o", "graph.log", "graph.txt"])
-def test_a_g2o_pose_graph(complaint, name, first):
-    """Its ROBOTLASER1 lines are CARMEN's, but the graph's poses are in its vertices."""
-    content = first.encode() + b"\n" + robotlaser([1, 2]) + b"\n"
-    assert complaint(name, content) == f"a g2o pose graph, not a format that is read: {CONVERT}"
+GRAPH = b"VERTEX2 0 1 2 0.5\nVERTEX2 1 2 2 0.5\nEDGE2 0 1 1 0 0 1 0 1 1 0 0\n"
+
+
+@pytest.mark.parametrize("content", [GRAPH, b"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", b"FIX 0\n"])
+@pytest.mark.parametrize("name", ["graph.g2o", "graph.log", "graph.G2O.GZ"])
+def test_a_pose_graph_without_laser_lines_holds_no_scan(complaint, name, content):
+    said = complaint(name, gzip.compress(content) if name.endswith("GZ") else content)
+    assert said == (
+        "holds no scan; it is a g2o pose graph without ROBOTLASER1 lines: give the log that it was made of"
+    )
+
+
+def test_a_pose_graph_by_another_name_is_to_be_renamed(complaint):
+    said = complaint("graph.txt", GRAPH)
+    assert said == "a g2o pose graph by its content, but not by its name: rename it to graph.g2o"
+    assert complaint("graph.jsonl", GRAPH).endswith("it looks like a g2o pose graph: rename it to graph.g2o")
+
+
+@pytest.mark.parametrize("first", ["FIX 0", "EDGE_SE2 0 1 1 0 0", "VERTEX2 0 0 0"])
+@pytest.mark.parametrize("name", ["graph.g2o", "graph.log"])
+def test_a_pose_graph_without_a_vertex_for_its_laser_lines(complaint, name, first):
+    said = complaint(name, first.encode() + b"\n" + robotlaser([1, 2]) + b"\n")
+    assert said.startswith("holds no scan; ")
+    assert "malformed" in said
+
+
+@pytest.mark.parametrize("name", ["map.gfs", "map.GFS.gz", "map.log", "map.txt"])
+def test_the_output_of_gridfastslam(complaint, name):
+    """It may begin with lines of a CARMEN log, which it is not."""
+    content = odom() + b"\nLASER_READING 2 1.5 2.5 0 0 0 12.5\n"
+    said = complaint(name, gzip.compress(content) if name.endswith("gz") else content)
+    assert said == (
+        "GridFastSLAM's output, not a format that is read: make a CARMEN log of it with GMapping's gfs2log"
+    )
+
+
+@pytest.mark.parametrize("name", ["map.npz", "map.log", "map.jsonl"])
+def test_a_map_is_no_log(complaint, name):
+    grid = OccupancyGrid(GridSettings())
+    grid.integrate(Scan(0, 0.0, 0.1, 0.1, 8.0, np.full(9, 2.0, np.float32)), IDENTITY)
+    said = complaint(name, encode_npz(grid.snapshot()))
+    assert said == "that is a map, not a log: `ogm mapper --start-map` takes it"
+
+
+def test_arrays_that_are_no_map(complaint):
+    file = io.BytesIO()
+    np.savez(file, ranges=np.ones(3))
+    assert complaint("log.npz", file.getvalue()) == f"NumPy arrays, not a format that is read: {CONVERT}"
 
 
 def test_a_carmen_log_of_other_messages_names_them(complaint):
