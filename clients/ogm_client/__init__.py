@@ -15,6 +15,7 @@ from ogm_client.errors import (
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
 from ogm_client.raycast import Ray, Rays
+from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
 from ogm_core.errors import OgmError
 from ogm_core.wire.keys import DEFAULT_ADDRESS
@@ -32,5 +33,6 @@ __all__ = [
     "OgmError",
     "Ray",
     "Rays",
+    "RecordingWriter",
     "RobotPublisher",
 ]

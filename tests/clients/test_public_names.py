@@ -20,6 +20,7 @@ def test_the_public_names_are_these():
         "OgmError",
         "Ray",
         "Rays",
+        "RecordingWriter",
         "RobotPublisher",
     ]
     assert all(hasattr(ogm_client, name) for name in ogm_client.__all__)
@@ -32,16 +33,21 @@ def test_every_error_of_the_client_is_caught_as_one():
     assert issubclass(ogm_client.ClientError, ogm_client.OgmError)
 
 
-def test_importing_and_using_it_is_light():
-    heavy = {"numba", "llvmlite", "fastapi", "uvicorn", "typer", "pydantic", "matplotlib", "scipy"}
+def test_importing_and_using_it_is_light(tmp_path):
+    heavy = {"numba", "llvmlite", "fastapi", "uvicorn", "typer", "pydantic", "matplotlib", "scipy", "orjson"}
     use = "grid.raycast(0.0, 0.0, 0.0), grid.crop((0, 0, 1, 1)), grid._repr_html_()"
     program = (
         "import sys, numpy, ogm_client\n"
         "grid = ogm_client.MapGrid(numpy.ones((2, 2)), 1.0, (0.0, 0.0), (0, 0), 'e', 1, None)\n"
         f"{use}\n"
+        "with ogm_client.RecordingWriter(sys.argv[1]) as recording: recording.write_pose(0.0, 0.0, 0.0)\n"
         f"print({heavy} & set(sys.modules))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=True
+        [sys.executable, "-c", program, str(tmp_path / "log.jsonl.gz")],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
     )
     assert done.stdout == "set()\n"

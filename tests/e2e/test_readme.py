@@ -234,6 +234,10 @@ def test_the_client(followed):
     assert room.shape == _grey(newcomer.folder / "room.pgm").shape
     assert room[room.shape[0] // 2, [0, -1]].tolist() == [255, 255]  # the wall, as a probability
     assert _grey(newcomer.folder / "middle.png").shape == (40, 40)
+    corridor = _grey(newcomer.folder / "drive" / "map.png")
+    walls, middle = corridor[[0, -1]], corridor[corridor.shape[0] // 2]
+    assert (walls == 0).mean() > 0.15, "2 of the 10 m are on either side of the way"
+    assert (middle == 254).mean() > 0.9
 
 
 def test_recorded_log_gives_the_picture_that_is_shown(followed):
