@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ogm_core.errors import BadWorld
 from ogm_core.simulation.office import PLAN
+from ogm_core.simulation.trajectories import Point
 from ogm_core.simulation.worlds import World, fields_of, lab, load_world
 
 
@@ -17,15 +18,17 @@ BUILT_IN: Mapping[str, Callable[[], World]] = {"lab": lab, "office": office}
 """The worlds that have a name."""
 
 
-def world_named(name_or_path: str) -> World:
+def world_named(name_or_path: str, start: Point | None = None) -> World:
     """The built-in world of that name, else that of the YAML file at that path: a world file, or a ROS map.
 
+    `start`, m, is where in a ROS map the robot begins; other worlds say that themselves.
+
     Raises:
-        BadWorld: there is no such file, it cannot be read, or it is not a world.
+        BadWorld: there is no such file, it cannot be read, it is not a world, or no robot can begin there.
         BadMapFile: it is a ROS map, but it or its picture is not what is needed.
     """
     if name_or_path in BUILT_IN:
-        return BUILT_IN[name_or_path]()
+        return _own_way(BUILT_IN[name_or_path](), start)
     known = ", ".join(BUILT_IN)
     try:
         text = Path(name_or_path).read_text(encoding="utf-8")
@@ -37,14 +40,22 @@ def world_named(name_or_path: str) -> World:
         ) from error
     try:
         fields = fields_of(text)
-        return _world_of_map(Path(name_or_path)) if "image" in fields else load_world(fields)
+        if "image" in fields:
+            return _world_of_map(Path(name_or_path), start)
+        return _own_way(load_world(fields), start)
     except BadWorld as error:
         raise BadWorld(f"world {name_or_path!r}: {error}") from error
 
 
-def _world_of_map(path: Path) -> World:
+def _own_way(world: World, start: Point | None) -> World:
+    if start is not None:
+        raise BadWorld(f"start: it is for ROS maps; the world {world.name} has a path of its own")
+    return world
+
+
+def _world_of_map(path: Path, start: Point | None) -> World:
     # Here, because what reads pictures and finds ways loads slowly, and other worlds need none of it.
     from ogm_core.files.ros_map_reader import read_ros_map
     from ogm_core.simulation.ros_map_world import world_of_map
 
-    return world_of_map(read_ros_map(path), path.stem)
+    return world_of_map(read_ros_map(path), path.stem, start)

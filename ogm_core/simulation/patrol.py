@@ -6,8 +6,9 @@ each to the nearest one not yet visited, along shortest paths (Dijkstra 1959), s
 line keeps clear, too.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
-from math import dist
+from math import dist, hypot
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ BLOCK = 0.25
 VIEW_EVERY = 4.0
 """Viewpoints are added until every node is this close to one, along the way, m."""
 MAX_VIEWPOINTS = 48
+BESIDE_START = 0.75
+"""A tour from a start begins at most this far from it, m, or one cell."""
 SPACING = 0.1
 """Between two poses, m; more on a tour of more than `_MAX_STEPS` of them."""
 _MAX_STEPS = 20_000
@@ -34,32 +37,57 @@ _MAX_VISITS = 4_000_000
 _CROSSINGS = 2**20
 """Crossings of lines and cells' borders that are looked at in one go, at most; bounds the memory."""
 _BESIDE = 1e-6
+_TOO_SMALL = f"is too small to drive in: {BLOCK:g} m to and fro are needed"
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Cell = tuple[int, int]
 
 
-def patrol(free: Mask, lattice: Lattice) -> WaypointPath:
-    """A closed tour of the largest connected region of `free`, shape (h, w), [iy, ix].
+def patrol(free: Mask, lattice: Lattice, start: Point | None = None) -> WaypointPath:
+    """A closed tour of one connected region of `free`, shape (h, w), [iy, ix].
+
+    The region is the one that holds `start`, a point in m, beside which the tour then begins. Without a start
+    it is the one that holds (0, 0), where most robots begin their maps; else the largest that does not touch
+    the map's border, so that what lies around a building is not taken for its inside; else the largest. One
+    that is too small to drive in is passed over.
 
     It keeps 0.3 m clear of all other cells, less if that leaves no room to drive, and never leaves the
     region. Parts of the region behind passages that are too narrow are not visited.
 
     Raises:
-        BadWorld: there is no free space, or too little to drive in.
+        BadWorld: there is no free space, or too little to drive in, or none at the start.
     """
-    region = _largest_part(free)
+    parts, count = ndimage.label(free)  # joined by their sides
+    if not count:
+        raise BadWorld("there is no free space to drive in: the map has no free cell")
+    if start is not None:
+        cell = _free_cell(parts, lattice, start)
+        path = _tour(parts == parts[cell], lattice, cell)
+        if path is None:
+            raise BadWorld(f"start: the free space there {_TOO_SMALL}")
+        return path
+    for number in _parts_in_turn(parts, lattice):
+        path = _tour(parts == number, lattice, None)
+        if path is not None:
+            return path
+    raise BadWorld(f"the free space {_TOO_SMALL}")
+
+
+def _tour(region: Mask, lattice: Lattice, start: Cell | None) -> WaypointPath | None:
+    """A tour of a region, from beside a cell of it if one is given; None if there is too little room."""
     # In cells, from a cell's centre to that of the nearest one outside; what surrounds the map is outside.
     gaps = ndimage.distance_transform_edt(np.pad(region, 1))[1:-1, 1:-1]
     for clearance in CLEARANCES:
         safe = region & ((gaps - 0.5) * lattice.resolution >= clearance)
-        nodes, graph = _graph(safe, gaps, cells_of_block(lattice.resolution))
-        if len(nodes) > 1:
+        nodes, graph, first = _graph(safe, gaps, cells_of_block(lattice.resolution), start)
+        away = 0.0 if start is None or not len(nodes) else hypot(*(nodes[first] - start)) * lattice.resolution
+        if len(nodes) > 1 and away <= max(BESIDE_START, lattice.resolution):
             break
     else:
-        raise BadWorld(f"the free space is too small to drive in: {BLOCK:g} m to and fro are needed")
-    legs = _legs(graph, lattice.resolution)
+        return None
+    legs = _legs(graph, lattice.resolution, first)
     points = [_centre(lattice, cell) for leg in legs for cell in _straightened(safe, nodes[leg])[:-1]]
     length = sum(dist(start, end) for start, end in pairwise([*points, points[0]]))
     return WaypointPath(tuple(points), max(SPACING, length / _MAX_STEPS))
@@ -70,20 +98,39 @@ def cells_of_block(resolution: float) -> int:
     return max(1, round(BLOCK / resolution))
 
 
-def _largest_part(free: Mask) -> Mask:
-    """The largest part whose cells are joined by their sides."""
-    parts, count = ndimage.label(free)
-    if not count:
-        raise BadWorld("there is no free space to drive in: the map has no free cell")
-    largest: Mask = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
-    return largest
+def _free_cell(parts: Indices, lattice: Lattice, start: Point) -> Cell:
+    """The cell [iy, ix] of a start, which must be free."""
+    height, width = parts.shape
+    (x0, y0), (x1, y1), (x, y) = lattice.anchor, lattice.corner_of(width, height), start
+    where = f"start: ({x:g}, {y:g}) m"
+    if not (x0 <= x < x1 and y0 <= y < y1):
+        raise BadWorld(f"{where} is not on the map, which is x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
+    ix, iy = map(min, lattice.cell_of(x, y), (width - 1, height - 1))  # rounding may lead out
+    if not parts[iy, ix]:
+        raise BadWorld(f"{where} is not free in the map: give a place that is white in its picture")
+    return iy, ix
 
 
-def _graph(safe: Mask, gaps: Floats, side: int) -> tuple[Indices, Any]:
-    """The largest connected graph of blocks of `side` x `side` cells.
+def _parts_in_turn(parts: Indices, lattice: Lattice) -> Iterator[int]:
+    """The numbers of the parts, from 1, that are tried one after the other where no start is given."""
+    ix, iy = lattice.cell_of(0.0, 0.0)
+    if 0 <= iy < parts.shape[0] and 0 <= ix < parts.shape[1] and parts[iy, ix]:
+        yield int(parts[iy, ix])
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    inside = sizes.copy()
+    inside[np.concatenate((parts[[0, -1]].ravel(), parts[:, [0, -1]].ravel()))] = 0
+    for kept in (inside, sizes):
+        if kept.any():
+            yield int(kept.argmax())
+
+
+def _graph(safe: Mask, gaps: Floats, side: int, start: Cell | None) -> tuple[Indices, Any, int]:
+    """The largest connected graph of blocks of `side` x `side` cells, or the one nearest to a start.
 
     Nodes are cells [iy, ix], shape (n, 2); a sparse symmetric matrix says how far joined ones are apart, in
-    cells. Neighbours are joined if the straight line between them meets safe cells only.
+    cells. Neighbours are joined if the straight line between them meets safe cells only. Last comes the node
+    nearest to the start, 0 without one.
     """
     nodes, number = _nodes(safe, gaps, side)
     neighbours = (
@@ -94,14 +141,21 @@ def _graph(safe: Mask, gaps: Floats, side: int) -> tuple[Indices, Any]:
     )
     pairs = np.concatenate([np.stack((a.ravel(), b.ravel())) for a, b in neighbours], axis=1)
     pairs = pairs[:, (pairs >= 0).all(axis=0)]
-    start, end = pairs[:, _clear(safe, *nodes[pairs])]
-    lengths = np.hypot(*(nodes[end] - nodes[start]).T)
-    graph = sparse.coo_array((lengths, (start, end)), shape=(len(nodes), len(nodes))).tocsr()
+    a, b = pairs[:, _clear(safe, *nodes[pairs])]
+    lengths = np.hypot(*(nodes[b] - nodes[a]).T)
+    graph = sparse.coo_array((lengths, (a, b)), shape=(len(nodes), len(nodes))).tocsr()
+    first = 0
     if len(nodes):
         _, part = csgraph.connected_components(graph, directed=False)
-        kept = np.flatnonzero(part == np.bincount(part).argmax())
+        chosen = np.bincount(part).argmax() if start is None else part[_nearest(nodes, start)]
+        kept = np.flatnonzero(part == chosen)
         nodes, graph = nodes[kept], graph[kept][:, kept]
-    return nodes, graph + graph.T
+        first = 0 if start is None else _nearest(nodes, start)
+    return nodes, graph + graph.T, first
+
+
+def _nearest(nodes: Indices, cell: Cell) -> int:
+    return int(np.hypot(*(nodes - cell).T).argmin())
 
 
 def _nodes(safe: Mask, gaps: Floats, side: int) -> tuple[Indices, Indices]:
@@ -116,10 +170,10 @@ def _nodes(safe: Mask, gaps: Floats, side: int) -> tuple[Indices, Indices]:
     return np.argwhere(there) * side + np.stack((row, column), axis=1), number
 
 
-def _legs(graph: Any, resolution: float) -> list[list[int]]:  # noqa: ANN401 (a sparse matrix)
-    """A closed tour of viewpoints: the nodes on the way from each to the next, both included."""
+def _legs(graph: Any, resolution: float, first: int) -> list[list[int]]:  # noqa: ANN401 (a sparse matrix)
+    """A closed tour of viewpoints, from node `first`: the nodes on the way from each to the next."""
     limit = min(MAX_VIEWPOINTS, max(8, _MAX_VISITS // graph.shape[0]))
-    views, lengths, before = [0], [], []
+    views, lengths, before = [first], [], []
     nearest = np.full(graph.shape[0], np.inf)
     while True:
         away, previous = csgraph.dijkstra(graph, indices=views[-1], return_predecessors=True)

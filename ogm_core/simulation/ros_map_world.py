@@ -7,6 +7,7 @@ from ogm_core.errors import BadWorld
 from ogm_core.files.ros_map_reader import RosMap
 from ogm_core.lattice import Lattice
 from ogm_core.simulation.patrol import cells_of_block, patrol
+from ogm_core.simulation.trajectories import Point
 from ogm_core.simulation.worlds import MAX_COORDINATE, World
 
 MAX_CELLS = 25_000_000
@@ -14,11 +15,13 @@ MAX_BLOCKS = 1_000_000
 """In a map of more cells, or more of the blocks that a way is planned in, planning takes too long."""
 
 
-def world_of_map(ros_map: RosMap, name: str) -> World:
+def world_of_map(ros_map: RosMap, name: str, start: Point | None = None) -> World:
     """The world whose obstacles are the outlines of the map's occupied cells, with a tour of its free space.
 
+    `start`, m, says in which part of that, and beside which point the tour begins: see `patrol`.
+
     Raises:
-        BadWorld: there is nothing to see or no room to drive, or the map is too large.
+        BadWorld: there is nothing to see, no room to drive, or none at the start; or the map is too large.
     """
     height, width = ros_map.occupancy.shape
     limit = min(MAX_CELLS, MAX_BLOCKS * cells_of_block(ros_map.resolution) ** 2)
@@ -32,7 +35,7 @@ def world_of_map(ros_map: RosMap, name: str) -> World:
     segments = outlines(ros_map.occupied, ros_map.lattice)
     if not len(segments):
         raise BadWorld("the map has no occupied cell: there is nothing for a LiDAR to see")
-    return World(name, np.empty((0, 3)), segments, patrol(ros_map.free, ros_map.lattice))
+    return World(name, np.empty((0, 3)), segments, patrol(ros_map.free, ros_map.lattice, start))
 
 
 def outlines(occupied: NDArray[np.bool_], lattice: Lattice) -> NDArray[np.float64]:

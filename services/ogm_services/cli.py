@@ -67,6 +67,14 @@ def program(
 World = Annotated[
     str, typer.Option(metavar="WORLD", help="lab, office, or the YAML file of a world or a ROS map.")
 ]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y",
+        help="Where in a ROS map the first robot begins, in metres (default: 0,0 if free, else its largest "
+        "free space inside).",
+    ),
+]
 MapperOut = Annotated[
     Path | None,
     typer.Option(
@@ -96,6 +104,7 @@ def demo(
     config: ConfigFile = None,
     sensor: SensorFlags = None,
     world: World = "lab",
+    start: Start = None,
     duration: Annotated[
         float | None,
         typer.Option(
@@ -107,11 +116,12 @@ def demo(
     """Start a simulator and a mapper on this machine, and print the URL of the live map."""
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
+    begin = _point("--start", start)
     settings = settings_from(config, map_flags, network, http, sensors=sensor)
     with running_service(), kernel_cache():
         with loading():
             from ogm_services.commands.demo import run_demo
-        run_demo(settings, world=world, duration=duration, out=out)
+        run_demo(settings, world=world, start=begin, duration=duration, out=out)
 
 
 @app.command()
@@ -139,6 +149,7 @@ def simulate(
     network: NetworkFlags,
     config: ConfigFile = None,
     world: World = "lab",
+    start: Start = None,
     robots: Annotated[int, typer.Option(metavar="N", help="How many robots drive.")] = 1,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Scans a second of each robot.")] = 20.0,
     seed: Annotated[
@@ -167,7 +178,9 @@ def simulate(
 ) -> None:
     """Drive simulated robots through a world and publish their poses and scans, or record them."""
     radians = None if fov is None else math.radians(fov)
-    options = SimulatorOptions(world, robots, rate, seed, beams, radians, range_max, noise, scans)
+    options = SimulatorOptions(
+        world, robots, rate, seed, beams, radians, range_max, noise, scans, _point("--start", start)
+    )
     settings = settings_from(config, network)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
@@ -178,6 +191,19 @@ def simulate(
             run_simulator(settings.network, options)
         else:
             record(options, out)
+
+
+def _point(flag: str, text: str | None) -> tuple[float, float] | None:
+    """The point X,Y that a flag gives, m."""
+    if text is None:
+        return None
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise BadInput(f"{flag}: two numbers X,Y in metres are needed, got {text!r}")
+    return x, y
 
 
 def _speed(text: str) -> float | None:

@@ -92,6 +92,112 @@ def test_only_the_largest_room_is_driven_through():
     assert all(1 <= ix <= 60 for ix, _ in cells)
 
 
+def two_rooms():
+    """A small free room in the west, a large one in the east, walls around both, cells of 0.1 m."""
+    return np.hstack((room(20, 40), room(60, 40)))
+
+
+def columns(path, lattice):
+    """The first and the last column of cells that a tour meets."""
+    found = [ix for ix, _ in visited(path, lattice)]
+    return min(found), max(found)
+
+
+def test_the_room_that_holds_the_origin_is_driven_through_be_it_the_smaller_one():
+    free = two_rooms()
+    in_the_wall = -2.15
+    for x, (west, east) in {-1.0: (1, 20), -5.0: (23, 82), in_the_wall: (23, 82)}.items():
+        lattice = Lattice(0.1, (x, -2.0))
+        first, last = columns(patrol(free, lattice), lattice)
+        assert west <= first < last <= east
+
+
+def test_where_the_origin_is_not_free_the_largest_room_inside_is_driven_through_and_not_what_lies_around_it():
+    """A race track's outside is white, too, and reaches the border of the picture."""
+    free = np.ones((100, 200), np.bool_)
+    free[20:80, 20:102] = np.hstack((room(20, 58), room(58, 58)))
+    lattice = Lattice(0.1, (50.0, 50.0))
+    first, last = columns(patrol(free, lattice), lattice)
+    assert 43 <= first < last <= 100
+    lattice = Lattice(0.1, (-1.0, -1.0))  # the origin is outside
+    first, last = columns(patrol(free, lattice), lattice)
+    assert first < 20
+    assert last > 102
+
+
+def test_where_every_room_reaches_the_border_the_largest_is_driven_through():
+    free = np.ones((60, 100), np.bool_)
+    free[:, 30] = False
+    lattice = Lattice(0.1, (50.0, 50.0))
+    first, _ = columns(patrol(free, lattice), lattice)
+    assert first > 30
+
+
+def test_a_speck_that_holds_the_origin_is_passed_over():
+    free = two_rooms()
+    free[5, 21] = True  # in the wall between the rooms, which is two cells thick
+    free[5, 20] = False
+    lattice = Lattice(0.1, (-2.15, -0.55))
+    assert lattice.cell_of(0.0, 0.0) == (21, 5)
+    first, _ = columns(patrol(free, lattice), lattice)
+    assert first >= 23
+
+
+def test_a_tour_begins_beside_its_start_and_goes_everywhere_in_its_room():
+    free, lattice = two_rooms(), Lattice(0.1, (-5.0, -2.0))
+    for start in ((-3.6, 1.5), (-4.0, -1.0), (0.05, 0.05), (3.0, 1.5), (3.15, -1.85)):
+        path = patrol(free, lattice, start)
+        assert math.dist(path.points[0], start) <= module.BESIDE_START
+        assert min(gap(free, lattice, x, y) for x, y in walk(path, 0.1)) >= 0.3 - 1e-9
+        first, last = columns(path, lattice)
+        west, east = (1, 20) if start[0] < -2.8 else (23, 82)
+        assert west <= first <= west + 5
+        assert east - 5 <= last <= east
+        assert path.pose(0)[:2] == path.points[0]
+
+
+def test_behind_too_narrow_a_door_a_tour_stays_where_it_begins():
+    free = room(80, 40)
+    free[:, 20] = False
+    free[20:24, 20] = True  # 0.4 m are too few for 0.3 m on either side
+    lattice = Lattice(0.1)
+    assert columns(patrol(free, lattice, (1.0, 2.0)), lattice)[1] < 20
+    assert columns(patrol(free, lattice, (5.0, 2.0)), lattice)[0] > 20
+
+
+def test_from_a_narrow_place_a_tour_keeps_less_clear():
+    free = np.zeros((60, 140), np.bool_)
+    free[5:55, 5:55] = True
+    free[28:31, 55:130] = True  # a corridor 0.3 m wide, 7.5 m long
+    lattice = Lattice(0.1)
+    assert columns(patrol(free, lattice), lattice)[1] < 55
+    path = patrol(free, lattice, (12.0, 2.95))
+    assert math.dist(path.points[0], (12.0, 2.95)) <= module.BESIDE_START
+    assert columns(path, lattice)[0] < 15
+    assert visited(path, lattice) <= {(ix, iy) for iy, ix in np.argwhere(free).tolist()}
+
+
+@pytest.mark.parametrize(
+    ("start", "says"),
+    [
+        ((100.0, 0.0), r"start: \(100, 0\) m is not on the map, which is x -5 to 3.4, y -2 to 2.2"),
+        ((0.0, -1e300), r"start: \(0, -1e\+300\) m is not on the map"),
+        ((-2.85, 0.0), r"start: \(-2.85, 0\) m is not free in the map: give a place that is white"),
+        ((3.4, 2.2), "is not on the map"),
+    ],
+)
+def test_a_start_that_is_none_is_said_so(start, says):
+    with pytest.raises(BadWorld, match=says):
+        patrol(two_rooms(), Lattice(0.1, (-5.0, -2.0)), start)
+
+
+def test_a_start_in_a_speck_is_said_so():
+    free = np.pad(two_rooms(), ((0, 4), (0, 0)))
+    free[-2, 3] = True
+    with pytest.raises(BadWorld, match=r"start: the free space there is too small to drive in: 0\.25 m"):
+        patrol(free, Lattice(0.1), (0.35, 4.45))
+
+
 def test_rooms_that_touch_at_a_corner_are_not_joined():
     free = np.zeros((80, 80), np.bool_)
     free[:40, :40] = free[40:, 40:] = True

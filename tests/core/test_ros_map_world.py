@@ -140,6 +140,24 @@ def test_its_robot_stays_in_the_hall(tmp_path):
         assert free[iy, ix]
 
 
+def test_its_robot_begins_where_it_is_told_to(tmp_path):
+    path = str(write_map(tmp_path, hall(), origin=(-3.5, -2.5)))
+    for start in ((2.5, 1.5), (-2.5, -1.5)):
+        x, y, _ = world_named(path, start).path.pose(0)
+        assert np.hypot(x - start[0], y - start[1]) < 0.75
+    with pytest.raises(BadWorld, match=r"world '.*map.yaml': start: \(9, 0\) m is not on the map"):
+        world_named(path, (9.0, 0.0))
+
+
+def test_worlds_with_a_path_of_their_own_take_no_start(tmp_path):
+    path = tmp_path / "hall.yaml"
+    path.write_text(dump_world(world_named("lab")).replace("name: lab", "name: hall"))
+    for name, called in (("office", "office"), (str(path), "hall")):
+        said = rf"start: it is for ROS maps; the world {called} has a path of its own"
+        with pytest.raises(BadWorld, match=said):
+            world_named(name, (0.0, 0.0))
+
+
 def test_the_world_of_a_map_survives_as_a_world_file(tmp_path):
     world = world_named(str(write_map(tmp_path, hall())))
     again = load_world(dump_world(world))

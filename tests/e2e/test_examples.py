@@ -21,6 +21,8 @@ import yaml
 from PIL import Image
 
 from ogm_client import MapClient, Ray
+from ogm_core.simulation.lidar import Lidar, true_ranges
+from ogm_core.simulation.worlds import load_world
 from ogm_services.settings.sources import without_settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -147,6 +149,20 @@ def test_the_table_lists_every_example():
     assert all(name == link for name, link in listed)
     there = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".ipynb")}
     assert {name for name, _ in listed} == there
+
+
+def test_the_world_is_the_one_that_the_page_on_logs_explains():
+    """Where its commands are followed."""
+    world = (EXAMPLES / "world.yaml").read_text()
+    assert f"```yaml\n{world}```\n" in (EXAMPLES.parent / "docs" / "logs.md").read_text()
+    assert "[`world.yaml`](world.yaml)" in (EXAMPLES / "README.md").read_text()
+
+
+def test_robots_touch_nothing_in_the_world():
+    world = load_world((EXAMPLES / "world.yaml").read_text())
+    sensor = Lidar(beams=360, range_max=20.0)
+    poses = (world.path.pose(i) for i in range(world.path.count))
+    assert min(true_ranges(world, pose, sensor).min() for pose in poses) > 0.4
 
 
 def test_all_but_the_one_that_makes_a_map_do_with_the_client():

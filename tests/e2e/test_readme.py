@@ -254,6 +254,8 @@ def test_other_logs_and_worlds(followed):
     assert json.loads((folder / "textbook" / "quality.json").read_text())["truth"]["accuracy"] > 0.98
     with Image.open(folder / "textbook" / "figure.png") as figure:
         assert min(figure.size) > 300
+    hall = json.loads((folder / "hall" / "quality.json").read_text())["truth"]
+    assert min(hall["precision"], hall["recall"]) > 0.95
     with gzip.open(folder / "again.jsonl.gz", "rt") as again:
         assert sum(json.loads(line)["type"] == "scan" for line in again) == 500
 

@@ -26,10 +26,10 @@ HTTP_FLAGS = "--http-host --http-port"
 MAPPER_FLAGS = "--start-map --start-confidence"
 LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
-    "demo": f"--world --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
+    "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
     "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
-    "simulate": "--robots --rate --seed --world --beams --fov --range-max --noise --out --scans --config "
-    + NETWORK_FLAGS,
+    "simulate": "--robots --rate --seed --world --start --beams --fov --range-max --noise --out --scans "
+    f"--config {NETWORK_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
     "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
     "get": "--out -o --url --map",
@@ -137,6 +137,10 @@ def one_line(result, code):
         ("simulate --robots many", "--robots"),
         ("simulate --fov 361", "at most 360 degrees are needed, got 361"),
         ("simulate --out run.jsonl", "--scans"),
+        ("simulate --start 1", "--start: two numbers X,Y in metres are needed, got '1'"),
+        ("simulate --start 1,2,3", "--start: two numbers X,Y"),
+        ("simulate --start 1,inf", "--start: two numbers X,Y"),
+        ("demo --start here", "--start: two numbers X,Y in metres are needed, got 'here'"),
         ("simulate --map a/b", "map_name 'a/b'"),
         ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
         ("replay x.log --speed 0", "--speed"),
@@ -193,7 +197,7 @@ def test_demo_uses_the_ordinary_defaults_in_the_labs_world(ogm, stub):
     run = stub("ogm_services.commands.demo", "run_demo")
     assert ogm("demo", "--duration", "2.5", "--http-port", "0").exit_code == 0
     (settings,) = run.args
-    assert run.options == {"world": "lab", "duration": 2.5, "out": None}
+    assert run.options == {"world": "lab", "start": None, "duration": 2.5, "out": None}
     assert (settings.map.preset, settings.map.resolution, settings.http.port) == (None, 0.05, 0)
 
 
@@ -204,6 +208,16 @@ def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
     network, options = run.args
     assert network.connect == ("tcp/a:1",)
     assert options == SimulatorOptions("office", 3, 5.0, 4, 90, math.pi, 12.0, 0.01, None)
+
+
+@pytest.mark.parametrize("text", ["-1.5,2", "-1.5, 2.0"])
+def test_simulate_and_demo_take_a_start(ogm, stub, text):
+    simulate = stub("ogm_services.commands.simulator", "run_simulator")
+    assert ogm("simulate", "--world", "map.yaml", "--start", text).exit_code == 0
+    assert simulate.args[1] == SimulatorOptions("map.yaml", start=(-1.5, 2.0))
+    demo = stub("ogm_services.commands.demo", "run_demo")
+    assert ogm("demo", "--world", "map.yaml", "--start", text).exit_code == 0
+    assert demo.options["start"] == (-1.5, 2.0)
 
 
 def test_simulate_without_flags(ogm, stub):

@@ -85,6 +85,18 @@ def test_a_world_of_the_users_own(listener, endpoint, simulating, world_file, ev
     assert told.segments.tolist() == given.segments.tolist()
 
 
+@pytest.mark.parametrize("room", [0, -1])
+def test_a_world_that_mappers_will_pass_over_is_told_of(
+    listener, endpoint, simulating, eventually, monkeypatch, caplog, room
+):
+    size = len(dump_world(world_named("lab")))
+    monkeypatch.setattr(simulator_module, "MAX_BYTES", size + room)
+    simulating(endpoint, "lab")
+    eventually(lambda: ask(listener))
+    said = f"mappers will pass over this world as the truth of their maps: its description takes {size} bytes"
+    assert (said in caplog.text) == (room < 0)
+
+
 def test_a_wildcard_is_answered_on_the_concrete_key_and_a_parameter_is_refused(
     listener, endpoint, simulating, eventually
 ):

@@ -88,7 +88,10 @@ def test_what_is_too_long_is_not_even_read(truth, read, caplog):
     truth.heard("e", [LAB + b"#" * (MAX_BYTES + 1 - len(LAB))])
     assert truth.world is None
     assert len(read) == 1
-    assert f"{MAX_BYTES + 1} bytes are more than {MAX_BYTES}" in caplog.text
+    said = (
+        f"passed over: its {MAX_BYTES + 1} bytes are more than {MAX_BYTES}; the map's quality has no `truth`"
+    )
+    assert said in caplog.text
 
 
 @pytest.mark.parametrize("told", [[LAB, OFFICE], [OFFICE, LAB], [b"", OFFICE, LAB], [LAB, b"", OFFICE, LAB]])

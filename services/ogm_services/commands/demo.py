@@ -39,24 +39,33 @@ class DemoFailed(OgmError):
     slug = "demo-failed"
 
 
-def run_demo(settings: Settings, *, world: str, duration: float | None, out: Path | None) -> None:
+def run_demo(
+    settings: Settings,
+    *,
+    world: str,
+    start: tuple[float, float] | None = None,
+    duration: float | None,
+    out: Path | None,
+) -> None:
     """Run a simulated robot and its mapper until KeyboardInterrupt, or `duration` s after the first scan.
 
-    With `out` the mapper writes `build`'s files there at its end.
+    `start`, m, is where in a ROS map the robot begins. With `out` the mapper writes `build`'s files there at
+    its end.
 
     Raises:
         BadWorld: there is no such world.
         DemoFailed: the mapper or the simulator failed.
     """
-    world_named(world)
+    world_named(world, start)
     if out is not None:
         check_folder(out)
     with tempfile.TemporaryDirectory(prefix="ogm-demo-") as folder:
         for_mapper, for_robot = _settings_files(settings, Path(folder))
         target = [] if out is None else ["--out", str(out)]
+        begin = [] if start is None else ["--start", "{!r},{!r}".format(*start)]
         with _process("mapper", "--config", str(for_mapper), *target) as mapper:
             url = _announced(mapper)
-            with _process("simulate", "--config", str(for_robot), "--world", world) as simulator:
+            with _process("simulate", "--config", str(for_robot), "--world", world, *begin) as simulator:
                 _run(mapper, simulator, url, duration)
             _until(lambda: _scans(url).pending == 0, mapper, deadline=time.monotonic() + DRAIN)
 

@@ -21,6 +21,7 @@ from ogm_core.simulation.worlds import World, dump_world
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
 from ogm_core.wire.keys import MapKeys
 from ogm_services.commands.simulator_options import SimulatorOptions
+from ogm_services.mapper.live.true_world import MAX_BYTES
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
 from ogm_services.settings.settings import NetworkSettings
@@ -37,7 +38,7 @@ class Simulation:
     """Robots in a world: what each of them measures at each step. Equal seeds, equal measurements."""
 
     def __init__(self, options: SimulatorOptions) -> None:
-        self.world = world_named(options.world)
+        self.world = world_named(options.world, options.start)
         lab = Lidar.lab()
         self.lidar = Lidar(
             beams=lab.beams if options.beams is None else options.beams,
@@ -134,6 +135,13 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
 def _truth(world: World) -> Callable[[Parameters], Answer]:
     """What is answered to queries of the truth: always the same."""
     answer = Answer(dump_world(world).encode(), "application/yaml")
+    if len(answer.body) > MAX_BYTES:
+        log.warning(
+            "mappers will pass over this world as the truth of their maps: its description takes %d bytes, "
+            "more than %d",
+            len(answer.body),
+            MAX_BYTES,
+        )
 
     def truth(given: Parameters) -> Answer:
         refuse_parameters(given, "truth")

@@ -16,7 +16,8 @@ class SimulatorOptions:
     `world`: lab, office, or the path of the YAML file of a world or a ROS map. The robots are named robot1,
     robot2, ... `rate`: scans a second of each robot. `seed` of the noise, None for a fresh one. `beams` of a
     scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range) in metres. `scans`: how
-    many each robot takes, None for no end.
+    many each robot takes, None for no end. `start`: where in a ROS map the first robot begins, m; None leaves
+    that to `simulation.patrol.patrol`.
 
     Raises:
         BadSetting: a value is out of range. The LiDAR's own are judged where it is made.
@@ -31,6 +32,7 @@ class SimulatorOptions:
     range_max: float | None = None
     noise: float | None = None
     scans: int | None = None
+    start: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.robots < 1:

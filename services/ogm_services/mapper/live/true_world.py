@@ -57,7 +57,7 @@ class TrueWorld:
         try:
             if len(text) <= MAX_BYTES:
                 return load_world(text.decode())
-            reason = f"{len(text)} bytes are more than {MAX_BYTES}"
+            reason = f"its {len(text)} bytes are more than {MAX_BYTES}; the map's quality has no `truth`"
         except (OgmError, UnicodeDecodeError) as error:
             reason = str(error)
         self._complaints.warning("a simulator's world", f"passed over: {reason}")
