@@ -17,16 +17,21 @@ from ogm_client.map_grid import MapGrid
 from ogm_client.raycast import Ray, Rays
 from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
-from ogm_core.errors import OgmError
+from ogm_core.errors import BadInput, BadMessage, BadParameter, BadSetting, MapEmpty, OgmError
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
     "DEFAULT_ADDRESS",
+    "BadInput",
+    "BadMessage",
+    "BadParameter",
     "BadReply",
+    "BadSetting",
     "CannotConnect",
     "CannotListen",
     "ClientError",
     "MapClient",
+    "MapEmpty",
     "MapGrid",
     "MapperError",
     "NobodyAnswered",

@@ -8,8 +8,8 @@ OgmError
     +-- MapperError       the mapper refused the request: `type`, `status`, `detail`
     +-- BadReply          the answer is not what a mapper answers
 
-What is wrong with the caller's own values is a `BadInput` of `ogm_core.errors`: `BadMessage`, `BadParameter`
-or `BadSetting`, raised before anything is sent.
+What is wrong with the caller's own values is a `BadInput`: `BadMessage`, `BadParameter` or `BadSetting`,
+raised before anything is sent. All of them, and `MapEmpty`, are importable from `ogm_client`.
 """
 
 from ogm_core.errors import OgmError

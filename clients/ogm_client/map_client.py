@@ -3,11 +3,12 @@
 import math
 import numbers
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
+from numpy.typing import ArrayLike
 
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
@@ -20,7 +21,7 @@ from ogm_core.wire.keys import DEFAULT_ADDRESS
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_INTERVAL = 0.5
 
-Value = str | float | Sequence[float] | None
+Value = str | ArrayLike | None
 """A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
 
 
@@ -58,7 +59,7 @@ class MapClient:
             raise BadSetting(f"timeout: a positive number of seconds is needed, got {timeout}")
         self._transport = _transport(address, map_name, timeout, session)
 
-    def get_map(self, region: Sequence[float] | None = None) -> MapGrid:
+    def get_map(self, region: ArrayLike | None = None) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
 
         A map without a known cell has shape (0, 0).

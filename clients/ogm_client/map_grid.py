@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ogm_client.notebook import html_of
 from ogm_client.raycast import Ray, RayCaster, Rays
@@ -119,7 +119,7 @@ class MapGrid:
             return math.nan
         return float(probability_of(self.log_odds[row : row + 1, column])[0])
 
-    def crop(self, region: Sequence[float]) -> "MapGrid":
+    def crop(self, region: ArrayLike) -> "MapGrid":
         """The part that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward to cells; a copy.
 
         What lies outside this grid is left out. An empty grid crops to itself.
@@ -243,7 +243,7 @@ class MapGrid:
         return MapSnapshot(stored, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
 
 
-def _region(values: Sequence[float]) -> Region:
+def _region(values: Any) -> Region:  # noqa: ANN401 - an ArrayLike, or a mistake
     try:
         xmin, ymin, xmax, ymax = map(float, values)
     except (TypeError, ValueError) as error:

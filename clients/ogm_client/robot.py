@@ -1,9 +1,10 @@
 """Publisher of a robot: its poses and scans, as Zenoh messages that a mapper integrates."""
 
+import math
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -12,8 +13,8 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from ogm_client.errors import ClientError, nobody
-from ogm_client.session import NetworkConfig, open_session, reason
-from ogm_core.errors import BadMessage
+from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session, reason
+from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
 from ogm_core.wire.keys import DEFAULT_ADDRESS, MapKeys, check_name
@@ -52,16 +53,21 @@ class RobotPublisher:
         map_name: str = "default",
         run: str | None = None,
         reliable: bool = False,
+        wait: bool = True,
+        connect_timeout: float = math.inf,
     ) -> None:
         """Connect to `address`, or use an open `session`, which stays open when the publisher closes.
 
-        `run` names this run of the robot; None makes a fresh one.
+        `run` names this run of the robot; None makes a fresh one. A mapper, or a router, that starts later
+        is waited for, up to `connect_timeout` in seconds; without `wait` it must be there.
 
         Raises:
-            BadSetting: a name cannot stand in a key, or the address is ill-formed.
-            CannotConnect: nothing takes connections at the address.
+            BadSetting: a name cannot stand in a key, or the address or the timeout is ill-formed.
+            CannotConnect: the address's host is unknown, or nothing takes connections there in time.
             ClientError: the open session is closed.
         """
+        if not connect_timeout >= 0.0:
+            raise BadSetting(f"connect_timeout: 0 s or more are needed, got {connect_timeout}")
         self.robot = check_name(robot, "robot")
         self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
         self._keys = MapKeys(map_name)
@@ -72,7 +78,8 @@ class RobotPublisher:
         with ExitStack() as opening:
             if session is None:
                 self._where = f"at {address}"
-                self._session = open_session(NetworkConfig(connect=(address,)))
+                timeout = connect_timeout if wait else CONNECT_TIMEOUT
+                self._session = open_session(NetworkConfig(connect=(address,), connect_timeout=timeout))
                 opening.callback(self._session.close)
             else:
                 self._where = "on the open session"
@@ -107,8 +114,8 @@ class RobotPublisher:
         sensor: str = "laser",
         stamp: int | None = None,
         time_increment: float = 0.0,
-        mount: Sequence[float] | None = None,
-        pose: Sequence[float] | None = None,
+        mount: ArrayLike | None = None,
+        pose: ArrayLike | None = None,
     ) -> None:
         """Publish one sweep; beam k looks along `angle_min + k * angle_increment` in the sensor frame.
 
@@ -189,6 +196,8 @@ class RobotPublisher:
         self._open.close()
 
     def __enter__(self) -> Self:
+        if self._closed:
+            raise ClientError(f"robot {self.robot!r}: the publisher is closed; make a new one")
         return self
 
     def __exit__(

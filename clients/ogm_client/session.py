@@ -5,8 +5,10 @@ maps on one network never meet by accident, and tests leave loopback alone.
 """
 
 import json
+import logging
 import re
 import socket
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,11 +21,17 @@ from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 CONNECT_TIMEOUT = 2.0
 """How long a connection is tried before it counts as failed, s: services may start in any order."""
+ATTEMPT = 1.0
+"""How long Zenoh itself tries all endpoints, s: Python sees to Ctrl-C between two attempts."""
 LEASE_MS = 2000
 """A process that freezes counts as gone after this long, ms."""
 
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
+_WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
+_PROTOCOLS = (*_WITH_PORTS, "quic_datagram", "unixsock-stream", "unixpipe", "serial", "vsock")
 _PORT_0 = re.compile(r"(?P<protocol>tcp|tls|ws)/(?P<host>.+):0(?P<rest>[?#].*)?")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +40,7 @@ class NetworkConfig:
 
     `mode` None: "peer" with an endpoint to listen on, else "client". `config_file`, a Zenoh JSON5 file,
     replaces all of our defaults; `mode`, `listen` and `connect` still override what it says, if given.
-    `connect_timeout` in seconds; with a `config_file` the file decides.
+    `connect_timeout`: how long to try until something takes connections, s; inf: until something does.
     """
 
     mode: Literal["client", "peer"] | None = None
@@ -45,16 +53,36 @@ class NetworkConfig:
 def open_session(config: NetworkConfig) -> zenoh.Session:
     """Open a session; the caller closes it (`with`), or its process hangs at exit.
 
+    Whoever is to wait longer than CONNECT_TIMEOUT is told so, once, in the log.
+
     Raises:
         BadSetting: an endpoint or the configuration file is ill-formed, or there is no endpoint at all.
-        CannotConnect: nothing takes connections at the endpoints to connect to.
+        CannotConnect: no host of the endpoints to connect to is known, which is said at once; or nothing
+            takes connections there in time.
         CannotListen: an endpoint to listen on is taken, or is not this machine's.
     """
+    for endpoint in config.connect:
+        _check_endpoint(endpoint)
     settings = _hermetic(config) if config.config_file is None else _from_file(config.config_file, config)
-    try:
-        return zenoh.open(settings)
-    except zenoh.ZError as error:
-        raise _failure(settings, error) from error
+    _check_hosts(config.connect)
+    began, told = time.monotonic(), config.connect_timeout <= CONNECT_TIMEOUT
+    turn, attempt = config.connect, _attempt(config)
+    while True:
+        tried = time.monotonic()
+        try:
+            return zenoh.open(settings)
+        except zenoh.ZError as error:
+            failure, now = _failure(settings, error), time.monotonic()
+            if not isinstance(failure, CannotConnect) or now - began >= config.connect_timeout:
+                raise failure from error
+        if not told:
+            told = True
+            log.warning("waiting for a mapper or a Zenoh router at %s", _endpoints(settings, "connect"))
+        if len(turn) > 1:  # a client tries the first one for all of its time, and never comes to the others
+            turn = (*turn[1:], turn[0])
+            _insert(settings, "connect/endpoints", turn)
+        # A file may say that Zenoh itself tries only once.
+        time.sleep(max(0.0, min(tried + attempt, began + config.connect_timeout) - now))
 
 
 def resolve_listen(endpoint: str) -> str:
@@ -104,7 +132,7 @@ def _hermetic(config: NetworkConfig) -> zenoh.Config:
     settings = zenoh.Config()
     _insert(settings, "mode", config.mode or ("peer" if config.listen else "client"))
     # Without exit_on_failure a peer that cannot connect would start silently alone.
-    timeout_ms = round(config.connect_timeout * 1000)
+    timeout_ms = round(_attempt(config) * 1000)
     _insert(settings, "connect", {"timeout_ms": timeout_ms, "exit_on_failure": True, "retry": _RETRY})
     _insert(settings, "listen", {"timeout_ms": 0, "exit_on_failure": True})
     # Set even if empty: a peer's own default listens on every interface.
@@ -133,6 +161,55 @@ def _from_file(path: Path, config: NetworkConfig) -> zenoh.Config:
     if config.connect:
         _insert(settings, "connect/endpoints", config.connect)
     return settings
+
+
+def _attempt(config: NetworkConfig) -> float:
+    """How long each endpoint to connect to is tried at a time, s."""
+    return min(config.connect_timeout, ATTEMPT) / max(1, len(config.connect))
+
+
+def _check_endpoint(endpoint: str) -> None:
+    """Refuse what Zenoh would try in vain, without a word of what is wrong with it."""
+    protocol, slash, rest = endpoint.partition("/")
+    example = f"an endpoint looks like {DEFAULT_ADDRESS}"
+    if rest.startswith("/"):
+        raise BadSetting(f"connect {endpoint}: a URL is no Zenoh endpoint; {example}")
+    if not slash:
+        raise BadSetting(f"connect {endpoint}: {example}")
+    if protocol not in _PROTOCOLS:
+        raise BadSetting(f"connect {endpoint}: {protocol!r} is none of {', '.join(_PROTOCOLS)}; {example}")
+    if protocol in _WITH_PORTS:
+        host, port = _host_and_port(rest)
+        if not (host and port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
+            raise BadSetting(f"connect {endpoint}: a host and a port, 1 to 65535, are needed; {example}")
+
+
+def _host_and_port(address: str) -> tuple[str, str]:
+    """The host, without the brackets of IPv6, and the port of what follows an endpoint's protocol."""
+    host, _, port = re.split("[?#]", address, maxsplit=1)[0].rpartition(":")
+    return host.removeprefix("[").removesuffix("]"), port
+
+
+def _check_hosts(endpoints: tuple[str, ...]) -> None:
+    """Refuse endpoints whose hosts are all unknown; of one that a name server may know later, say nothing."""
+    unknown = []
+    for endpoint in endpoints:
+        protocol, _, rest = endpoint.partition("/")
+        if protocol not in _WITH_PORTS:
+            return
+        host, port = _host_and_port(rest)
+        try:
+            socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
+        except UnicodeError:  # what cannot be a name
+            unknown.append(f"{endpoint}: unknown host {host!r}")
+        except socket.gaierror as error:
+            if error.errno == socket.EAI_AGAIN:
+                return
+            unknown.append(f"{endpoint}: unknown host {host!r} ({error.strerror})")
+        else:
+            return
+    if unknown:
+        raise CannotConnect(f"cannot connect to {'; '.join(unknown)}")
 
 
 def _insert(settings: zenoh.Config, key: str, value: Any) -> None:  # noqa: ANN401 - any JSON value

@@ -20,7 +20,7 @@ def check_name(value: str, what: str) -> str:
     Raises:
         BadSetting: it is not 1 to 64 of A-Z a-z 0-9 _ - . (the text names `what`).
     """
-    if not NAME.fullmatch(value):
+    if not isinstance(value, str) or not NAME.fullmatch(value):
         raise BadSetting(f"{what} {value!r}: a name is 1 to 64 of A-Z a-z 0-9 _ - .")
     return value
 
@@ -30,6 +30,13 @@ class Source(NamedTuple):
 
     robot: str
     sensor: str | None
+
+
+class RobotRun(NamedTuple):
+    """A run of a robot, as its liveliness token names it."""
+
+    robot: str
+    run: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +78,16 @@ class MapKeys:
     def alive(self, service: str, identity: str, run: str) -> str:
         """The liveliness token of a running service: `identity` outlives a restart, `run` does not."""
         return f"{self.root}/alive/{service}/{identity}/{run}"
+
+    def robot_of(self, key: str) -> RobotRun | None:
+        """Whose liveliness token `key` is; None if it is no robot's of this map."""
+        prefix = f"{self.root}/alive/robot/"
+        if not key.startswith(prefix):
+            return None
+        match key[len(prefix) :].split("/"):
+            case [robot, run] if NAME.fullmatch(robot) and NAME.fullmatch(run):
+                return RobotRun(robot, run)
+        return None
 
     def source_of(self, key: str) -> Source | None:
         """Whose data `key` carries; None if it is neither a pose key nor a scan key of this map."""

@@ -2,7 +2,6 @@
 
 import numbers
 import operator
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,8 @@ def scan_of(
     range_max: float,
     stamp: int = 0,
     time_increment: float = 0.0,
-    mount: Sequence[float] | None = None,
-    pose: Sequence[float] | None = None,
+    mount: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
     seq: int = 0,
     run: str = "",
 ) -> Scan:
@@ -78,13 +77,16 @@ def number_of(value: float, name: str) -> float:
         raise BadMessage(f"{name}: a finite number is needed, got one past every float") from error
 
 
-def pose_of(values: Sequence[float], name: str) -> Pose:
+def pose_of(values: ArrayLike, name: str) -> Pose:
     """Three numbers: x and y in metres, theta in radians.
 
     Raises:
         BadMessage: they are not; the text names them `name`.
     """
-    parts: list[Any] = list(values)
+    try:
+        parts: list[Any] = list(values)  # type: ignore[arg-type]  # a mistake may be no list at all
+    except TypeError:
+        raise BadMessage(f"{name}: [x, y, theta] is needed, got {type(values).__name__}") from None
     if len(parts) != 3:
         raise BadMessage(f"{name}: [x, y, theta] is needed, got {len(parts)} values")
     return Pose(*(number_of(part, f"{name}[{i}]") for i, part in enumerate(parts)))

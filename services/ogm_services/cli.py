@@ -35,7 +35,7 @@ from ogm_services.settings.flags import (
 app = typer.Typer(
     name="ogm",
     cls=OneLineErrors,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Live occupancy grid maps from robots' poses and 2D LiDAR scans, over Zenoh and HTTP.",
@@ -151,6 +151,9 @@ def simulate(
     world: World = "lab",
     start: Start = None,
     robots: Annotated[int, typer.Option(metavar="N", help="How many robots drive.")] = 1,
+    robot_prefix: Annotated[
+        str, typer.Option(metavar="NAME", help="The robots' names: NAME1, NAME2 and so on.")
+    ] = "robot",
     rate: Annotated[float, typer.Option(metavar="HZ", help="Scans a second of each robot.")] = 20.0,
     seed: Annotated[
         int | None,
@@ -175,11 +178,21 @@ def simulate(
             metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz), without network."
         ),
     ] = None,
+    connect_timeout: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="Give up when no mapper or router takes connections for so long (default: never).",
+            show_default=False,
+        ),
+    ] = math.inf,
 ) -> None:
     """Drive simulated robots through a world and publish their poses and scans, or record them."""
     radians = None if fov is None else math.radians(fov)
+    lidar = (beams, radians, range_max, noise)
+    begin = _point("--start", start)
     options = SimulatorOptions(
-        world, robots, rate, seed, beams, radians, range_max, noise, scans, _point("--start", start)
+        world, robots, rate, seed, *lidar, scans, begin, robot_prefix, connect_timeout
     )
     settings = settings_from(config, network)
     if out is not None and scans is None:

@@ -1,19 +1,30 @@
 """What `import ogm_client` offers, and what it must not load."""
 
+import inspect
+import re
 import subprocess
 import sys
+import typing
+
+import pytest
+from numpy.typing import ArrayLike
 
 import ogm_client
 
 
 def test_the_public_names_are_these():
     assert sorted(ogm_client.__all__) == [
+        "BadInput",
+        "BadMessage",
+        "BadParameter",
         "BadReply",
+        "BadSetting",
         "CannotConnect",
         "CannotListen",
         "ClientError",
         "DEFAULT_ADDRESS",
         "MapClient",
+        "MapEmpty",
         "MapGrid",
         "MapperError",
         "NobodyAnswered",
@@ -31,6 +42,41 @@ def test_every_error_of_the_client_is_caught_as_one():
     errors = ["BadReply", "CannotConnect", "CannotListen", "MapperError", "NobodyAnswered"]
     assert all(issubclass(getattr(ogm_client, name), ogm_client.ClientError) for name in errors)
     assert issubclass(ogm_client.ClientError, ogm_client.OgmError)
+
+
+PUBLIC = [
+    member
+    for name in ogm_client.__all__
+    if isinstance(kind := getattr(ogm_client, name), type) and not issubclass(kind, Exception)
+    for member in [kind, *vars(kind).values()]
+]
+
+
+def test_every_error_that_is_spoken_of_is_importable():
+    spoken_of = {
+        name
+        for member in PUBLIC
+        for text in [inspect.getdoc(getattr(member, "__func__", member)) or ""]
+        for name in re.findall(r"^    (\w+(?:, \w+)*): ", text.partition("Raises:\n")[2], re.MULTILINE)
+    }
+    assert {"BadMessage", "BadSetting", "CannotConnect", "ClientError", "MapEmpty"} <= spoken_of
+    assert spoken_of <= {*ogm_client.__all__}
+
+
+@pytest.mark.parametrize(
+    ("function", "name"),
+    [
+        (ogm_client.RobotPublisher.publish_scan, "ranges"),
+        (ogm_client.RobotPublisher.publish_scan, "mount"),
+        (ogm_client.RobotPublisher.publish_scan, "pose"),
+        (ogm_client.MapClient.get_map, "region"),
+        (ogm_client.MapClient.fetch, "parameters"),
+        (ogm_client.MapGrid.crop, "region"),
+    ],
+)
+def test_whatever_makes_an_array_is_typed_as_such(function, name):
+    kinds = typing.get_args(typing.get_type_hints(function)[name])
+    assert set(typing.get_args(ArrayLike)) <= set(kinds)
 
 
 def test_importing_and_using_it_is_light(tmp_path):

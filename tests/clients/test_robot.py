@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from ogm_client import ClientError, NobodyAnswered, RobotPublisher
+from ogm_client import CannotConnect, ClientError, NobodyAnswered, RobotPublisher
 from ogm_client import robot as robot_module
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadMessage, BadSetting
@@ -166,6 +166,7 @@ def test_recorded_messages_keep_their_run_and_seq(robot, received):
         ({"mount": (0.0, 0.0)}, r"mount: \[x, y, theta\]"),
         ({"mount": (0.0, np.nan, 0.0)}, r"mount\[1\]"),
         ({"pose": (0.0, 0.0, None)}, r"pose\[2\]"),
+        ({"pose": 1.0}, r"pose: \[x, y, theta\] is needed, got float"),
         ({"ranges": []}, "ranges: "),
         ({"ranges": [[1.0, 2.0]]}, r"ranges: .*\(1, 2\)"),
         ({"ranges": [1.0, None]}, "ranges: "),
@@ -197,11 +198,53 @@ def test_a_bad_pose_is_refused_and_not_counted(robot, received):
 
 
 @pytest.mark.parametrize(
-    "names", [{"robot": "r 1"}, {"robot": ""}, {"map_name": "a/b"}, {"run": "*"}, {"robot": "x" * 65}]
+    "names",
+    [
+        {"robot": "r 1"},
+        {"robot": ""},
+        {"robot": None},
+        {"robot": 7},
+        {"map_name": "a/b"},
+        {"map_name": None},
+        {"run": "*"},
+        {"robot": "x" * 65},
+    ],
 )
 def test_a_name_that_cannot_stand_in_a_key_is_refused(listener, names):
     with pytest.raises(BadSetting):
         RobotPublisher(**{"robot": "r1", "session": listener, **names})
+
+
+def test_a_publisher_waits_for_a_mapper_that_starts_later(endpoint, caplog, eventually):
+    made = []
+    starting = threading.Thread(target=lambda: made.append(RobotPublisher("r1", address=endpoint)))
+    starting.start()
+    eventually(lambda: f"waiting for a mapper or a Zenoh router at {endpoint}" in caplog.messages)
+    with open_session(NetworkConfig(listen=(endpoint,))) as later:
+        starting.join(30.0)
+        eventually(lambda: [*later.liveliness().get("ogm/v1/default/alive/robot/r1/*")])
+        made[0].close()
+
+
+@pytest.mark.parametrize("how", [{"wait": False}, {"connect_timeout": 0.1}, {"connect_timeout": 0}])
+def test_a_publisher_need_not_wait(endpoint, caplog, how):
+    with pytest.raises(CannotConnect, match=f"{endpoint}.*ogm mapper"):
+        RobotPublisher("r1", address=endpoint, **how)
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"address": "http://127.0.0.1:8000"}, "a URL is no Zenoh endpoint"),
+        ({"address": "tcp/127.0.0.1"}, "a host and a port"),
+        ({"connect_timeout": -1.0}, "connect_timeout: 0 s or more"),
+        ({"connect_timeout": np.nan}, "connect_timeout: 0 s or more"),
+    ],
+)
+def test_a_publisher_says_at_once_what_is_wrong_with_its_address(options, said):
+    with pytest.raises(BadSetting, match=said):
+        RobotPublisher("r1", **options)
 
 
 def test_a_sensor_that_cannot_stand_in_a_key_is_refused(robot):
@@ -260,6 +303,8 @@ def test_a_closed_publisher_says_so(robot, received):
         robot.publish_pose(2.0, 0.0, 0.0)
     with pytest.raises(ClientError, match="closed"):
         robot.publish_scan([1.0], **SWEEP)
+    with pytest.raises(ClientError, match="robot 'r1': the publisher is closed; make a new one"), robot:
+        pass
     received(1)
 
 

@@ -1,10 +1,14 @@
 """Opening sessions: hermetic, quick to say what is wrong, and back by themselves after a break."""
 
 import json
+import logging
+import math
 import socket
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 
 import pytest
 import zenoh
@@ -110,12 +114,83 @@ def test_which_of_listen_and_connect_failed(listener, endpoint):
     [
         (NetworkConfig(), "at least one endpoint"),
         (NetworkConfig(connect=("localhost:7447",)), "connect localhost:7447: .*tcp/127.0.0.1:7447"),
+        (
+            NetworkConfig(connect=("http://127.0.0.1:8000",)),
+            "http://127.0.0.1:8000: a URL is no Zenoh endpoint",
+        ),
+        (NetworkConfig(connect=("TCP/127.0.0.1:7447",)), "'TCP' is none of tcp, udp"),
+        (NetworkConfig(connect=("tcp/127.0.0.1",)), "tcp/127.0.0.1: a host and a port, 1 to 65535"),
+        (NetworkConfig(connect=("tls/[::1]?a=1#iface=lo",)), "a host and a port"),
+        (NetworkConfig(connect=("tcp/:7447",)), "a host and a port"),
+        (NetworkConfig(connect=("udp/127.0.0.1:0",)), "a host and a port"),
+        (NetworkConfig(connect=("ws/127.0.0.1:65536",)), "a host and a port"),
         (NetworkConfig(listen=("7447",)), "listen 7447: "),
     ],
 )
 def test_ill_formed_endpoints_are_bad_settings(config, message):
     with pytest.raises(BadSetting, match=message):
-        open_session(config)
+        open_session(replace(config, connect_timeout=math.inf))  # at once, however long one would wait
+
+
+@pytest.fixture
+def names(monkeypatch):
+    """A name server: `names[host]` is the error number with which a host is not found."""
+    errors, known = {}, socket.getaddrinfo
+
+    def getaddrinfo(host, *args, **options):
+        if host in errors:
+            raise socket.gaierror(errors[host], "no such name here")
+        return known(host, *args, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    return errors
+
+
+def test_an_unknown_host_is_said_at_once(names):
+    names["lost.example"] = socket.EAI_NONAME
+    for endpoints in (("tcp/lost.example:7447",), ("tcp/lost.example:1", f"tcp/{'x' * 64}.example:2")):
+        with pytest.raises(CannotConnect, match=r"tcp/lost.example:\d+: unknown host 'lost.example'"):
+            open_session(NetworkConfig(connect=endpoints, connect_timeout=math.inf))
+
+
+def test_one_known_host_where_a_mapper_is_is_enough(names, listener, endpoint):
+    names["lost.example"] = socket.EAI_NONAME
+    with open_session(NetworkConfig(connect=("tcp/lost.example:1", "tcp/127.0.0.1:1", endpoint))) as session:
+        assert [str(zid) for zid in session.info.peers_zid()] == [str(listener.zid())]
+
+
+def test_a_host_that_a_name_server_may_know_later_is_waited_for(names):
+    names["later.example"] = socket.EAI_AGAIN
+    with pytest.raises(CannotConnect, match="is a mapper running there"):
+        open_session(NetworkConfig(connect=("tcp/later.example:1",), connect_timeout=0.1))
+
+
+def test_who_is_told_to_wait_says_once_for_what(endpoint, caplog, eventually):
+    opened = []
+    config = NetworkConfig(connect=(endpoint,), connect_timeout=math.inf)
+    waiting = threading.Thread(target=lambda: opened.append(open_session(config)))
+    with caplog.at_level(logging.WARNING, "ogm_client"):
+        waiting.start()
+        eventually(lambda: caplog.records)
+        with open_session(NetworkConfig(listen=(endpoint,))) as listener:
+            waiting.join(30.0)
+            with opened[0] as session:
+                assert [str(zid) for zid in session.info.peers_zid()] == [str(listener.zid())]
+    assert caplog.messages == [f"waiting for a mapper or a Zenoh router at {endpoint}"]
+
+
+def test_a_wait_ends(endpoint, caplog):
+    with pytest.raises(CannotConnect, match=endpoint):
+        open_session(NetworkConfig(connect=(endpoint,), connect_timeout=2.5))
+    assert len(caplog.records) == 1
+    with pytest.raises(CannotConnect, match=endpoint):
+        open_session(NetworkConfig(connect=(endpoint,)))
+    assert len(caplog.records) == 1, "who does not wait has nothing to say"
+
+
+def test_a_taken_port_to_listen_on_is_not_waited_for(listener, endpoint):
+    with pytest.raises(CannotListen, match=endpoint):
+        open_session(NetworkConfig(listen=(endpoint,), connect=(endpoint,), connect_timeout=math.inf))
 
 
 def test_a_configuration_file_is_taken_as_it_is(tmp_path, listener, endpoint):

@@ -5,10 +5,10 @@ from typing import get_args
 import pytest
 
 from ogm_core.errors import BadSetting
-from ogm_core.wire.keys import MapKeys, Service, Source, check_name
+from ogm_core.wire.keys import MapKeys, RobotRun, Service, Source, check_name
 
 KEYS = MapKeys("lab")
-BAD_NAMES = ["", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]
+BAD_NAMES = [None, 7, b"a", "", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]
 
 
 @pytest.mark.parametrize("name", ["a", "A-z_0.9", ".", "robot1", "x" * 64])
@@ -39,6 +39,13 @@ def test_keys_are_those_of_the_contract():
     assert [KEYS.service(name) for name in get_args(Service)] == [
         f"ogm/v1/lab/{name}" for name in ("map", "cell", "quality", "status", "reset")
     ]
+
+
+def test_a_token_names_a_robot_and_its_run():
+    assert KEYS.robot_of(KEYS.alive("robot", "r1", "run-7")) == RobotRun("r1", "run-7")
+    others = KEYS.alive("mapper", "r1", "a"), MapKeys("x").alive("robot", "r1", "a"), KEYS.pose("r1")
+    for key in (*others, "ogm/v1/lab/alive/robot/r1", "ogm/v1/lab/alive/robot/r1/a/b", "", "r1"):
+        assert KEYS.robot_of(key) is None, key
 
 
 def test_the_source_of_a_key_is_whom_it_was_made_for():

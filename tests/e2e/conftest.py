@@ -86,6 +86,14 @@ class Command:
             time.sleep(0.01)
         pytest.fail(f"{self.args}: {pattern!r} was not printed within {timeout} s: {self._out}{self._err}")
 
+    def complains(self, text, timeout=STARTED):
+        """Wait until a text stands on stderr; fails at once if the command ends without it."""
+        deadline = time.monotonic() + timeout
+        while text not in "".join(list(self._err)):
+            assert self.process.poll() is None, f"{self.args} ended without {text!r}: {self.wait()}"
+            assert time.monotonic() < deadline, f"{self.args}: {self._out}{self._err}"
+            time.sleep(0.01)
+
     def wait(self, timeout=STARTED):
         """Wait for the command's end, and that of everything that it started; how it ended."""
         if self._ended is None:

@@ -42,10 +42,12 @@ def test_by_hand(ogm, mapper, eventually):
     expected = mapper.status()
     # The known cells may be of a moment ago, and so of different moments.
     known = expected["map_info"].pop("known_cells")
+    ages = {name: robot.pop("age_s") for name, robot in expected["robots"].items()}
     for ended in asked:
         assert ended.code == 0
         found = json.loads(ended.out)
         assert found["map_info"].pop("known_cells") == pytest.approx(known, rel=0.5)
+        assert all(robot.pop("age_s") <= ages[name] for name, robot in found["robots"].items())
         assert found == {**expected, "uptime_s": pytest.approx(expected["uptime_s"], abs=10)}
     assert expected["robots"].keys() == {"robot1", "robot2"}
     assert "40 received, 40 integrated, 0 pending" in table.out
@@ -173,13 +175,37 @@ def test_without_a_mapper_every_command_says_what_to_check(ogm, endpoint):
             ogm.call("get", "map.png", "-o", "map.png", "--url", url): url,
             ogm.run("status", "--url", endpoint): endpoint,
             ogm.call("status", "--url", url): url,
-            ogm.run("simulate", "--connect", endpoint): endpoint,
+            ogm.run("simulate", "--connect", endpoint, "--connect-timeout", 1): endpoint,
         }
         for ended, address in commands.items():
             complaint = ended.complaint(1)
             assert address in complaint
             assert "mapper` running there" in complaint or "is a mapper running there" in complaint
     assert not (ogm.folder / "map.png").exists()
+
+
+def test_a_simulator_waits_for_a_mapper_that_starts_later(ogm, endpoint, eventually):
+    waiting = f"waiting for a mapper or a Zenoh router at {endpoint}"
+    early, gone = (ogm.start("simulate", "--connect", endpoint, "--scans", 3) for _ in range(2))
+    early.complains(waiting)
+    gone.complains(waiting)
+    ended = gone.stop(signal.SIGINT)
+    assert (ended.code, ended.out, ended.err.count(waiting)) == (0, "", 1)
+    mapper = ogm.ready(ogm.start("mapper", "--http-port", 0, "--listen", endpoint))
+    assert early.wait().code == 0
+    eventually(lambda: mapper.status()["revision"] == 3)
+
+
+def test_a_robot_that_is_alive_keeps_its_name(ogm, mapper, eventually):
+    first = simulator(ogm, mapper, "--robots", 2)
+    first.line("robot1, robot2 in lab")
+    second = ogm.run("simulate", "--connect", mapper.endpoint, "--robots", 1)
+    assert "'robot1' is publishing to map 'default' already" in second.complaint(1)
+    assert "--robot-prefix" in second.err
+    other = simulator(ogm, mapper, "--robot-prefix", "cart", "--scans", 2).wait()
+    assert (other.code, other.out) == (0, "cart1 in lab: 20 scans a second each\n")
+    first.kill()  # as a crash would: whose robots are gone at once
+    eventually(lambda: ogm.run("simulate", "--connect", mapper.endpoint, "--scans", 1).code == 0)
 
 
 def test_a_wrong_map_name_is_named(ogm, idle_mapper):

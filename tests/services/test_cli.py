@@ -28,8 +28,8 @@ LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
     "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
     "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
-    "simulate": "--robots --rate --seed --world --start --beams --fov --range-max --noise --out --scans "
-    f"--config {NETWORK_FLAGS}",
+    "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise --out "
+    f"--scans --connect-timeout --config {NETWORK_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
     "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
     "get": "--out -o --url --map",
@@ -77,10 +77,10 @@ def stub(monkeypatch):
 
 @pytest.mark.parametrize("command", FLAGS)
 def test_help_lists_every_flag_and_nothing_else(ogm, command):
-    result = ogm(command, "--help")
+    result = ogm(command, "-h")
     assert result.exit_code == 0
     shown = re.findall(r"^│[ *]*(--[a-z-]+)(?: +(-[a-z]) )?", result.stdout, re.MULTILINE)
-    assert {flag for flags in shown for flag in flags if flag} == {*FLAGS[command].split(), "--help"}
+    assert {flag for flags in shown for flag in flags if flag} == {*FLAGS[command].split(), "--help", "-h"}
 
 
 def test_help_states_defaults_and_units(ogm):
@@ -135,6 +135,10 @@ def one_line(result, code):
         ("mapper --resolution 1e300", "map.resolution"),
         ("simulate --robots 0", "robots: at least 1"),
         ("simulate --robots many", "--robots"),
+        ("simulate --robot-prefix r/", "robot-prefix 'r/1': a name is"),
+        ("simulate --robots 10 --robot-prefix " + "x" * 63, "xx10': a name is 1 to 64"),
+        ("simulate --connect-timeout -1", "connect-timeout: 0 s or more"),
+        ("simulate --connect-timeout nan", "connect-timeout: 0 s or more"),
         ("simulate --fov 361", "at most 360 degrees are needed, got 361"),
         ("simulate --out run.jsonl", "--scans"),
         ("simulate --start 1", "--start: two numbers X,Y in metres are needed, got '1'"),
@@ -208,6 +212,23 @@ def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
     network, options = run.args
     assert network.connect == ("tcp/a:1",)
     assert options == SimulatorOptions("office", 3, 5.0, 4, 90, math.pi, 12.0, 0.01, None)
+    assert (options.names, options.connect_timeout) == (["robot1", "robot2", "robot3"], math.inf)
+
+
+def test_simulated_robots_have_names_of_their_own(ogm, stub):
+    run = stub("ogm_services.commands.simulator", "run_simulator")
+    assert ogm("simulate", "--robots", 2, "--robot-prefix", "cart-", "--connect-timeout", 3).exit_code == 0
+    assert (run.args[1].names, run.args[1].connect_timeout) == (["cart-1", "cart-2"], 3.0)
+
+
+def test_shells_complete_commands_and_flags(ogm):
+    program = [sys.executable, "-m", "ogm_services"]
+    for words, found in {"ogm si": ["simulate"], "ogm replay --sp": ["--speed"]}.items():
+        environ = {"_OGM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        done = subprocess.run(
+            program, env={**os.environ, **environ}, capture_output=True, text=True, timeout=300, check=True
+        )
+        assert done.stdout.split() == found
 
 
 @pytest.mark.parametrize("text", ["-1.5,2", "-1.5, 2.0"])

@@ -5,15 +5,17 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import typer
+import zenoh
 
 from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
-from ogm_core.errors import BadRecording
+from ogm_core.errors import BadRecording, OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
@@ -28,10 +30,18 @@ from ogm_services.settings.settings import NetworkSettings
 
 SENSOR = "laser"
 WAIT_FOR_MAPPER = 5.0
+LOOK_TIMEOUT = 2.0
+"""How long a look for robots of the same names may take, s."""
 FALLEN_BEHIND = 1.0
 """A simulator that is later than this skips the time that it has lost, s."""
 
 log = logging.getLogger(__name__)
+
+
+class RobotAlive(OgmError):
+    """A robot of the same name is publishing already."""
+
+    slug = "robot-alive"
 
 
 class Simulation:
@@ -46,7 +56,7 @@ class Simulation:
             range_max=lab.range_max if options.range_max is None else options.range_max,
             noise=lab.noise if options.noise is None else options.noise,
         )
-        self.robots = [f"robot{number + 1}" for number in range(options.robots)]
+        self.robots = options.names
         seeds = np.random.SeedSequence(options.seed).spawn(options.robots)
         self._noise = [np.random.default_rng(seed) for seed in seeds]
 
@@ -105,23 +115,27 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
     Meanwhile whoever asks is told the world: the truth that a map can be judged by.
 
     Raises:
-        CannotConnect: no mapper or router is there.
+        CannotConnect: no mapper or router is there within `options.connect_timeout`.
+        RobotAlive: a robot of one of these names is publishing already.
         BadWorld, BadSetting: there is no such world, or no such LiDAR.
     """
     simulation = Simulation(options)
     truth = _truth(simulation.world)
     run = uuid.uuid4().hex
     with ExitStack() as opening:
-        session = opening.enter_context(open_session(network.for_client()))
+        config = replace(network.for_client(), connect_timeout=options.connect_timeout)
+        session = opening.enter_context(open_session(config))
         queryables = Queryables(session, threads=1)
         opening.callback(queryables.close)
-        queryables.declare(MapKeys(network.map_name).truth, truth)
+        keys = MapKeys(network.map_name)
+        queryables.declare(keys.truth, truth)
         robots = {
             robot: opening.enter_context(
                 RobotPublisher(robot, session=session, map_name=network.map_name, run=run)
             )
             for robot in simulation.robots
         }
+        _refuse_namesakes(session, keys, simulation.robots, run)
         _wait_for_mapper(robots[simulation.robots[0]])
         typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
         for step in _ticks(options):
@@ -130,6 +144,20 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
                     robots[message.robot].put_scan(message.sensor, message.message)
                 else:
                     robots[message.robot].put_pose(message.message)
+
+
+def _refuse_namesakes(session: zenoh.Session, keys: MapKeys, robots: list[str], run: str) -> None:
+    """Look for living robots of these names and of other runs: a mapper takes the poses of one of them only.
+
+    Ours are declared by now, so that of two simulators that start at once one at least sees the other.
+    """
+    for reply in session.liveliness().get(keys.alive("robot", "*", "*"), timeout=LOOK_TIMEOUT):
+        found = None if reply.ok is None else keys.robot_of(str(reply.ok.key_expr))
+        if found and found.robot in robots and found.run != run:
+            raise RobotAlive(
+                f"a robot named {found.robot!r} is publishing to map {keys.map_name!r} already: "
+                "choose other names with --robot-prefix"
+            )
 
 
 def _truth(world: World) -> Callable[[Parameters], Answer]:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from ogm_core.errors import BadSetting
+from ogm_core.wire.keys import check_name
 
 MIN_RATE = 0.001
 """The slowest rate of scans, Hz."""
@@ -13,11 +14,12 @@ MIN_RATE = 0.001
 class SimulatorOptions:
     """World, robots and LiDAR of a simulation; None leaves a value of the LiDAR to `simulation.lidar.Lidar`.
 
-    `world`: lab, office, or the path of the YAML file of a world or a ROS map. The robots are named robot1,
-    robot2, ... `rate`: scans a second of each robot. `seed` of the noise, None for a fresh one. `beams` of a
-    scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range) in metres. `scans`: how
-    many each robot takes, None for no end. `start`: where in a ROS map the first robot begins, m; None leaves
-    that to `simulation.patrol.patrol`.
+    `world`: lab, office, or the path of the YAML file of a world or a ROS map. The robots are named
+    `robot_prefix` and a number from 1 on. `rate`: scans a second of each robot. `seed` of the noise, None for
+    a fresh one. `beams` of a scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range)
+    in metres. `scans`: how many each robot takes, None for no end. `start`: where in a ROS map the first
+    robot begins, m; None leaves that to `simulation.patrol.patrol`. `connect_timeout`: how long a mapper or a
+    router is waited for, s.
 
     Raises:
         BadSetting: a value is out of range. The LiDAR's own are judged where it is made.
@@ -33,6 +35,8 @@ class SimulatorOptions:
     noise: float | None = None
     scans: int | None = None
     start: tuple[float, float] | None = None
+    robot_prefix: str = "robot"
+    connect_timeout: float = math.inf
 
     def __post_init__(self) -> None:
         if self.robots < 1:
@@ -46,3 +50,11 @@ class SimulatorOptions:
             raise BadSetting(f"fov: more than 0 and at most 360 degrees are needed, got {degrees:g}")
         if self.scans is not None and self.scans < 1:
             raise BadSetting(f"scans: at least 1 is needed, got {self.scans}")
+        if not self.connect_timeout >= 0.0:
+            raise BadSetting(f"connect-timeout: 0 s or more are needed, got {self.connect_timeout:g}")
+        check_name(self.names[-1], "robot-prefix")
+
+    @property
+    def names(self) -> list[str]:
+        """The robots' names."""
+        return [f"{self.robot_prefix}{number + 1}" for number in range(self.robots)]
