@@ -77,7 +77,7 @@ def followed(
     drive = Drive(running.endpoint, [placed.scan for placed in work.scans], seconds)
     with ExitStack() as opening:
         client = opening.enter_context(MapClient(running.endpoint))
-        before = client.status()["revision"]
+        before = client.status().revision
         robots = opening.enter_context(driving(drive))
         reading = None
         if readers:
@@ -98,7 +98,7 @@ def follow(
     put: NDArray[np.int64] | None = None
     seen, revisions, deadline = [time.monotonic_ns()], [before], np.inf
     while time.monotonic() < deadline and (put is None or revisions[-1] < before + put.size):
-        revision = client.status()["revision"]
+        revision = client.status().revision
         now = time.monotonic_ns()
         if revision != revisions[-1]:
             seen.append(now)

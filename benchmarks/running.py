@@ -93,7 +93,7 @@ def wait_for_revision(client: MapClient, revision: int, pause: float = 0.002) ->
         TimeoutError: it did not in time.
     """
     deadline = time.monotonic() + HANDLED
-    while client.status()["revision"] < revision:
+    while client.status().revision < revision:
         if time.monotonic() >= deadline:
             raise TimeoutError(f"revision {revision} was not reached within {HANDLED:g} s")
         time.sleep(pause)

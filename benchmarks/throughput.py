@@ -44,7 +44,7 @@ def run(quick: bool) -> list[Result]:
             payloads = encoded(work, scans, run_name)
             client.reset()
             served.append(send(session, client, payloads, run_name))
-        lost = scans * rounds - client.status()["robots"]["robot1"]["sources"]["laser"]["integrated"]
+        lost = scans * rounds - client.status().robots["robot1"].sources["laser"].integrated
     group = "from Zenoh into the map: big, as fast as it goes, two processes"
     name = "times the map's own rate on one core, in memory"
     return [
@@ -96,8 +96,8 @@ def send(session: zenoh.Session, client: MapClient, payloads: list[bytes], run: 
 
 def handled(client: MapClient, run: str) -> int:
     """How many scans of a run are in the map, or were dropped; one less while the newest is in hand."""
-    sources = [robot["sources"]["laser"] for robot in client.status()["robots"].values()]
-    source = next((source for source in sources if source["run"] == run), None)
-    if source is None or source["last_seq"] is None:
+    sources = [robot.sources["laser"] for robot in client.status().robots.values()]
+    source = next((source for source in sources if source.run == run), None)
+    if source is None or source.last_seq is None:
         return 0
-    return int(source["last_seq"] + (source["pending"] == 0))
+    return source.last_seq + (source.pending == 0)

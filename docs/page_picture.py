@@ -121,7 +121,7 @@ def wait_for(demo: "subprocess.Popen[str]", url: str, scans: int) -> None:
     """Wait until the map holds so many scans."""
     deadline = time.monotonic() + scans / 20 + PATIENCE
     with MapClient(url.rstrip("/")) as mapper:
-        while mapper.status()["scans"]["integrated"] < scans:
+        while mapper.status().scans.integrated < scans:
             if demo.poll() is not None or time.monotonic() > deadline:
                 raise NoPicture(f"the demo did not get as far as {scans} scans: see what it printed")
             time.sleep(0.1)

@@ -18,6 +18,7 @@ from ogm_client.raycast import Ray, Rays
 from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
 from ogm_core.errors import BadInput, BadMessage, BadParameter, BadSetting, MapEmpty, OgmError
+from ogm_core.status import RobotStatus, SourceStatus, Status
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
@@ -40,4 +41,7 @@ __all__ = [
     "Rays",
     "RecordingWriter",
     "RobotPublisher",
+    "RobotStatus",
+    "SourceStatus",
+    "Status",
 ]

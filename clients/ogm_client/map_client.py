@@ -12,14 +12,17 @@ from numpy.typing import ArrayLike
 
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
+from ogm_client.status_reply import read_status
 from ogm_client.transport import NAMES, MapReply, Transport, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
 from ogm_core.files.map_files import read_npz
+from ogm_core.status import Status
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_INTERVAL = 0.5
+DEFAULT_MAP = "default"
 
 Value = str | ArrayLike | None
 """A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
@@ -42,14 +45,15 @@ class MapClient:
         self,
         address: str = DEFAULT_ADDRESS,
         *,
-        map_name: str = "default",
+        map_name: str | None = None,
         timeout: float = DEFAULT_TIMEOUT,
         session: zenoh.Session | None = None,
     ) -> None:
         """Connect to "http://host:port" or "https://...", or by Zenoh to an endpoint such as "tcp/host:port".
 
-        An HTTP address has one map, so `map_name` matters over Zenoh only. `timeout` of each answer in
-        seconds. An open Zenoh `session` is used in place of `address`, and stays open.
+        `map_name` None: the map "default" over Zenoh, over HTTP whichever is served there; one that is given
+        must be the one served, else requests raise NobodyAnswered. `timeout` of each answer in seconds. An
+        open Zenoh `session` is used in place of `address`, and stays open.
 
         Raises:
             BadSetting: the address, the map's name or the timeout is ill-formed.
@@ -85,9 +89,12 @@ class MapClient:
             raise BadParameter(f"format: the name says it, {name}")
         return self._transport.fetch(name, _texts(parameters))
 
-    def status(self) -> dict[str, Any]:
-        """What the mapper has received, integrated and dropped, and from whom."""
-        return json_object("status", self.fetch("status"))
+    def status(self) -> Status:
+        """What the mapper has received, integrated and dropped, and from whom.
+
+        `fetch("status")` has all that the mapper says, as JSON.
+        """
+        return read_status(self.fetch("status"))
 
     def quality(self) -> dict[str, Any]:
         """The quality figures of the map."""
@@ -135,17 +142,19 @@ class MapClient:
             reply = self._transport.fetch_map_after(seen)
 
 
-def _transport(address: str, map_name: str, timeout: float, session: zenoh.Session | None) -> Transport:
+def _transport(
+    address: str, map_name: str | None, timeout: float, session: zenoh.Session | None
+) -> Transport:
     if session is None and address.startswith(("http://", "https://")):
         # Here, because it loads httpx, which who speaks Zenoh need not wait for.
         from ogm_client.http_transport import HttpTransport
 
-        return HttpTransport(address, timeout)
+        return HttpTransport(address, timeout, map_name)
     if session is None and ("://" in address or "/" not in address):
         raise BadSetting(
             f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, is needed"
         )
-    return ZenohTransport(address, map_name, timeout, session)
+    return ZenohTransport(address, DEFAULT_MAP if map_name is None else map_name, timeout, session)
 
 
 def _grid(reply: MapReply) -> MapGrid:

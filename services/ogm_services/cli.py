@@ -88,7 +88,10 @@ Url = Annotated[
     ),
 ]
 MapName = Annotated[
-    str, typer.Option("--map", metavar="NAME", help="Name of the map; over HTTP it says itself.")
+    str | None,
+    typer.Option(
+        "--map", metavar="NAME", help="Name of the map (default: default; over HTTP whichever is served)."
+    ),
 ]
 Log = Annotated[
     Path, typer.Argument(metavar="LOG", help="Recording (.jsonl, .jsonl.gz) or CARMEN log (.log, .clf).")
@@ -315,7 +318,7 @@ def get(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; - for stdout.")],
     url: Url = DEFAULT_ADDRESS,
-    map_name: MapName = "default",
+    map_name: MapName = None,
 ) -> None:
     """Fetch a file from a running mapper."""
     from ogm_client import MapClient
@@ -328,22 +331,21 @@ def get(
 @app.command()
 def status(
     url: Url = DEFAULT_ADDRESS,
-    map_name: MapName = "default",
+    map_name: MapName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Show what a running mapper is doing."""
     from ogm_client import MapClient
 
     with MapClient(url, map_name=map_name) as client:
+        if as_json:
+            typer.echo(json.dumps(json.loads(client.fetch("status")), indent=2))
+            return
         answer = client.status()
-    if as_json:
-        typer.echo(json.dumps(answer, indent=2))
-        return
     from rich.console import Console
 
     from ogm_services.commands.status import status_tables
-    from ogm_services.replies.status_reply import read_status
 
     console = Console()
-    for table in status_tables(read_status(answer)):
+    for table in status_tables(answer):
         console.print(table)

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qsl, urlsplit
 
@@ -15,6 +15,8 @@ from ogm_core.cells.log_odds import LogOdds
 from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.status import encode_status
+from status_json import STATUS
 
 MAP_NAME = "hall"
 PROBLEM = "application/problem+json"
@@ -26,7 +28,7 @@ class FakeMapper:
 
     `address` and `over` ("zenoh", "http") say how it is reached. `bodies` overrides answers, `meta` what
     accompanies a map (... takes it away); a `problem` refuses all. `later` swaps the map just before the
-    request of that number (from 0) is answered.
+    request of that number (from 0) is answered. `name`: of the map, in the status.
     """
 
     address: str
@@ -36,6 +38,7 @@ class FakeMapper:
     problem: dict | bytes | None = None
     meta: dict = field(default_factory=dict)
     later: dict = field(default_factory=dict)
+    name: str = MAP_NAME
     asked: list = field(default_factory=list)
 
     def take(self, name, parameters):
@@ -47,7 +50,9 @@ class FakeMapper:
         if name in self.bodies:
             return self.bodies[name]
         if name == "status":
-            return json.dumps({"epoch": self.snapshot.epoch, "revision": self.snapshot.revision}).encode()
+            return encode_status(
+                replace(STATUS, epoch=self.snapshot.epoch, revision=self.snapshot.revision, map=self.name)
+            )
         return encode_npz(self.snapshot) if name == "map.npz" else f"{name} as asked".encode()
 
     def map_meta(self):
@@ -162,8 +167,9 @@ def mapper(request):
 
 @pytest.fixture
 def client(mapper):
-    """A client of `mapper`."""
+    """A client of `mapper`; over HTTP one that takes any map, and asks for nothing besides."""
     from ogm_client import MapClient
 
-    with MapClient(mapper.address, map_name=MAP_NAME, timeout=30.0) as client:
+    name = MAP_NAME if mapper.over == "zenoh" else None
+    with MapClient(mapper.address, map_name=name, timeout=30.0) as client:
         yield client

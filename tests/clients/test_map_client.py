@@ -14,8 +14,10 @@ from ogm_client import BadReply, CannotConnect, ClientError, MapClient, MapperEr
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, BadSetting
+from status_json import STATUS
 
 STEP = 8.0 / 16383
+MAP_NAME = "hall"
 
 
 def test_a_map_arrives_as_it_was_served(mapper, client):
@@ -66,11 +68,68 @@ def test_what_cannot_be_asked_is_refused_here(mapper, client, name, parameters, 
     assert mapper.asked == []
 
 
-@pytest.mark.parametrize("name", ["status", "quality"])
-def test_figures_are_dictionaries(mapper, client, name):
-    mapper.bodies[name] = b'{"map": "hall", "scans": {"received": 3}, "stamp": null}'
-    assert getattr(client, name)() == {"map": "hall", "scans": {"received": 3}, "stamp": None}
-    assert mapper.asked == [(name, {})]
+def test_figures_are_dictionaries(mapper, client):
+    mapper.bodies["quality"] = b'{"known_m2": 3.5, "consistency": {"hits": 1.0}, "truth": null}'
+    assert client.quality() == {"known_m2": 3.5, "consistency": {"hits": 1.0}, "truth": None}
+    assert mapper.asked == [("quality", {})]
+
+
+def test_the_status_has_types(mapper, client):
+    status = client.status()
+    assert status == replace(STATUS, epoch="first", revision=7)
+    assert status.robots["r2"].sources["front"].dropped == {"no_pose": 5}
+    assert mapper.asked == [("status", {})]
+
+
+def test_a_map_of_another_name_is_refused(mapper):
+    """Over HTTP an address has one map, and nothing else tells which one."""
+    mapper.name = "cellar"
+    asks = [
+        MapClient.get_map,
+        MapClient.status,
+        MapClient.reset,
+        lambda client: client.cell(0.0, 0.0),
+        lambda client: next(client.watch()),
+    ]
+    name = "attic" if mapper.over == "zenoh" else MAP_NAME
+    for ask in asks:
+        with MapClient(mapper.address, map_name=name, timeout=30.0) as client:
+            for _ in range(2):
+                with pytest.raises(NobodyAnswered, match=f"{name}"):
+                    ask(client)
+    assert {name for name, _ in mapper.asked} <= {"status"}
+    if mapper.over == "http":
+        said = pytest.raises(NobodyAnswered, match="serves map 'cellar', and not 'hall'")
+        with MapClient(mapper.address, map_name=MAP_NAME) as client, said:
+            client.get_map()
+        with MapClient(mapper.address) as client:
+            assert client.get_map().revision == 7
+
+
+def test_a_map_of_the_right_name_is_looked_at_once(http_mapper):
+    with MapClient(http_mapper.address, map_name=MAP_NAME) as client:
+        maps = client.watch(interval=0.001)
+        next(maps)
+        http_mapper.bodies["cell"] = b"{}"
+        client.cell(0.0, 0.0)
+        client.fetch("map.png")
+    assert [name for name, _ in http_mapper.asked] == ["status", "map.npz", "cell", "map.png"]
+
+
+def test_a_mapper_that_takes_the_place_of_another_is_looked_at(http_mapper):
+    with MapClient(http_mapper.address, map_name=MAP_NAME) as client:
+        client.get_map()
+        http_mapper.snapshot = replace(http_mapper.snapshot, epoch="second")
+        client.get_map()  # emptied: the same name
+        http_mapper.snapshot = replace(http_mapper.snapshot, epoch="third")
+        http_mapper.name = "cellar"
+        with pytest.raises(NobodyAnswered, match="serves map 'cellar'"):
+            client.get_map()
+
+
+def test_a_bad_name_of_a_map_is_refused(mapper):
+    with pytest.raises(BadSetting, match="map name 'a b'"):
+        MapClient(mapper.address, map_name="a b")
 
 
 def test_a_cell_is_asked_for_by_its_point(mapper, client):
@@ -268,11 +327,11 @@ def test_a_session_that_was_given_stays_open(listener, zenoh_mapper):
     with MapClient(map_name="hall", session=listener) as client:
         assert client.get_map().revision == 7
     with MapClient(map_name="hall", session=listener) as client:
-        assert client.status() == {"epoch": "first", "revision": 7}
+        assert client.status().revision == 7
     assert not listener.is_closed()
 
 
-def test_a_field_that_json_keeps_and_we_do_not_know_is_kept(mapper, client):
+def test_a_field_of_the_status_that_we_do_not_know_is_fetched(mapper, client):
     status = {"epoch": "first", "revision": 7, "later": {"added": [1, 2]}}
     mapper.bodies["status"] = json.dumps(status).encode()
-    assert client.status() == status
+    assert json.loads(client.fetch("status")) == status

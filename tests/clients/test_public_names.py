@@ -33,6 +33,9 @@ def test_the_public_names_are_these():
         "Rays",
         "RecordingWriter",
         "RobotPublisher",
+        "RobotStatus",
+        "SourceStatus",
+        "Status",
     ]
     assert all(hasattr(ogm_client, name) for name in ogm_client.__all__)
     assert ogm_client.DEFAULT_ADDRESS == "tcp/127.0.0.1:7447"

@@ -214,6 +214,9 @@ def test_a_wrong_map_name_is_named(ogm, idle_mapper):
     for ended in (status, get):
         assert "no mapper of map 'hall' answered" in ended.complaint(1)
         assert "--map hall" in ended.err
+    served = ogm.call("status", "--url", idle_mapper.url, "--map", "hall")
+    assert "serves map 'default', and not 'hall'" in served.complaint(1)
+    assert ogm.call("status", "--url", idle_mapper.url, "--map", "default").code == 0
 
 
 def test_an_empty_map_has_no_picture(ogm, idle_mapper):

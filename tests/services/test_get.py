@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ogm_client import MapperError
+from ogm_client.status_reply import read_status
 from ogm_core.lattice import Region
 from ogm_services.cli import app
 
@@ -67,14 +68,14 @@ class FakeClient:
         if name == "map.pgm":
             raise MapperError("map-empty", 404, "there is no known cell yet")
         self.asked.append((name, parameters))
-        return b"\x89PNG"
+        return json.dumps(STATUS).encode() if name == "status" else b"\x89PNG"
 
     def get_map(self, region=None):
         self.asked.append(("map", region))
         return FakeGrid(region)
 
     def status(self):
-        return STATUS
+        return read_status(json.dumps(STATUS).encode())
 
 
 @pytest.fixture
@@ -97,7 +98,7 @@ def test_get_writes_a_file(ogm, mapper, tmp_path):
     assert (result.exit_code, result.output) == (0, "")
     assert out.read_bytes() == b"\x89PNG"
     assert mapper.asked == [
-        ("tcp/127.0.0.1:7447", "default"),
+        ("tcp/127.0.0.1:7447", None),
         ("map.png", {"palette": "probability", "max_size": "500"}),
     ]
 

@@ -17,7 +17,6 @@ from ogm_core.errors import OgmError
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.status import ScanCounts
 from ogm_services.mapper.service import LIVE_MAP
-from ogm_services.replies.status_reply import read_status
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.settings import Settings
@@ -120,7 +119,7 @@ def _until(reached: Callable[[], bool], *processes: Process, deadline: float | N
 
 def _scans(url: str) -> ScanCounts:
     with MapClient(url) as client:
-        return read_status(client.status()).scans
+        return client.status().scans
 
 
 @contextmanager

@@ -19,7 +19,6 @@ from ogm_core.errors import OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
 from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import Source
-from ogm_services.replies.status_reply import read_status
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import NetworkSettings
 
@@ -104,7 +103,7 @@ class _Replay:
         self._robots: dict[str, RobotPublisher] = {}
         self._seqs: Counter[Source] = Counter()
         self._sent: dict[Source, _Sent] = {}
-        self._before = self._status = read_status(self._client.status())
+        self._before = self._status = self._client.status()
 
     def publish(self, recorded: Recorded) -> None:
         """Send a message under a fresh run; wait first if too many scans of its source are on their way."""
@@ -165,7 +164,7 @@ class _Replay:
 
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
-        self._status = read_status(self._client.status())
+        self._status = self._client.status()
         for source, sent in self._sent.items():
             status = _status_of(self._status, source)
             sent.taken(status.run, status.last_seq)

@@ -1,0 +1,77 @@
+"""A mapper's reply to the question for its status, as values; read by hand, for pydantic is not light."""
+
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from ogm_client.errors import BadReply
+from ogm_client.transport import json_object
+from ogm_core.status import Status
+from ogm_core.types import Pose
+
+_WORDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    Pose: "[x, y, theta]",
+}
+
+
+def read_status(payload: bytes) -> Status:
+    """A status of what `GET /status` answers, of a mapper of any version.
+
+    What only a newer mapper says is passed over; what an older one does not say yet has its default.
+
+    Raises:
+        BadReply: it lacks what every mapper says, or has something else in its place.
+    """
+    status: Status = _value(Status, json_object("status", payload), ("status",))
+    return status
+
+
+def _value(kind: Any, given: Any, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - JSON, and what is made of it
+    """What JSON says, as a `kind`; the path says where it stands."""
+    if isinstance(kind, UnionType):  # of something and None
+        return None if given is None else _value(get_args(kind)[0], given, path)
+    if kind is Pose and isinstance(given, list) and len(given) == 3:
+        return Pose(*(_value(float, part, path) for part in given))
+    match get_origin(kind) or kind, given:
+        case origin, dict() if origin is dict:
+            inner = get_args(kind)[1]
+            return {name: _value(inner, part, (*path, name)) for name, part in given.items()}
+        case origin, list() if origin is list:
+            inner = get_args(kind)[0]
+            return [_value(inner, part, path) for part in given]
+        case part, dict() if is_dataclass(part):
+            return _part(kind, given, path)
+    if type(given) is kind or (kind is float and type(given) is int):
+        return kind(given)
+    raise _misread(path, f"{_WORDS.get(kind, 'something else')} is needed, got {type(given).__name__}")
+
+
+def _part(kind: Any, given: dict[str, Any], path: tuple[str, ...]) -> Any:  # noqa: ANN401 - a dataclass
+    """A part of the status: its fields by name."""
+    values = {}
+    for name, (inner, required) in _fields(kind).items():
+        if name in given:
+            values[name] = _value(inner, given[name], (*path, name))
+        elif required:
+            raise _misread((*path, name), "missing")
+    return kind(**values)
+
+
+@cache
+def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:  # noqa: ANN401 - a dataclass
+    """Type of every field, and whether every mapper says it."""
+    hints = get_type_hints(kind)
+    return {
+        field.name: (hints[field.name], field.default is MISSING and field.default_factory is MISSING)
+        for field in fields(kind)
+    }
+
+
+def _misread(path: tuple[str, ...], what: str) -> BadReply:
+    where, *inside = path
+    return BadReply(f"{': '.join([where, '.'.join(inside)])}: {what}; is that a mapper of another version?")
