@@ -9,6 +9,9 @@ from typing import Any
 
 from ogm_core.types import Pose
 
+GONE_AFTER = 60.0
+"""How long a robot that is not alive is shown after its last message, s."""
+
 
 @dataclass(frozen=True, slots=True)
 class ScanCounts:
@@ -73,6 +76,15 @@ class RobotStatus:
     alive: bool = False
     age_s: float | None = None
     sources: dict[str, SourceStatus] = field(default_factory=dict)
+
+    @property
+    def gone(self) -> bool:
+        """Whether it is not to be shown any more: not alive, and silent for GONE_AFTER, or all along."""
+        if self.alive:
+            return False
+        if self.age_s is None:  # a robot that went without a message; or an older mapper, which knows no ages
+            return self.pose is None and not self.sources
+        return self.age_s > GONE_AFTER
 
 
 @dataclass(frozen=True, slots=True)

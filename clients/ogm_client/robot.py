@@ -12,9 +12,11 @@ from typing import Any, Self, TypeVar
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.errors import ClientError, nobody
+from ogm_client.errors import ClientError, NobodyAnswered, nobody
+from ogm_client.map_client import MapClient
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session, reason
 from ogm_core.errors import BadMessage, BadSetting
+from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
 from ogm_core.wire.keys import DEFAULT_ADDRESS, MapKeys, check_name
@@ -188,6 +190,31 @@ class RobotPublisher:
             if time.monotonic() >= deadline:
                 raise nobody(self._keys.map_name, self._where, timeout)
             time.sleep(_POLL)
+
+    def feedback(self, timeout: float = 5.0) -> RobotStatus:
+        """What the mapper says of this robot: of each sensor the scans received, integrated, and dropped why.
+
+            for sensor, source in robot.feedback().sources.items():
+                print(sensor, source.integrated, source.dropped, source.hints)
+
+        The counts are those of the robot's name since the mapper started, of earlier runs, too; a robot that
+        the mapper has not heard of has no sources. `timeout` of the answer in seconds.
+
+        Raises:
+            BadSetting: the timeout is not a positive number.
+            NobodyAnswered: no mapper of the map does in time.
+            MapperError: it is starting, or too busy.
+            BadReply: the answer is not a mapper's.
+            ClientError: the publisher or its session is closed.
+        """
+        if self._closed:
+            raise ClientError(f"robot {self.robot!r}: the publisher is closed")
+        client = MapClient(session=self._session, map_name=self._keys.map_name, timeout=timeout)
+        try:
+            robots = client.status().robots
+        except NobodyAnswered as error:
+            raise nobody(self._keys.map_name, self._where, timeout) from error
+        return robots.get(self.robot, RobotStatus(None, None))
 
     def close(self) -> None:
         """Withdraw from the network; a session that was given stays open. Closing twice does nothing."""

@@ -11,8 +11,10 @@ from ogm_client import CannotConnect, ClientError, NobodyAnswered, RobotPublishe
 from ogm_client import robot as robot_module
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadMessage, BadSetting
+from ogm_core.status import RobotStatus, encode_status
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 from ogm_core.wire import messages
+from status_json import STATUS
 
 SWEEP = {"angle_min": -0.5, "angle_increment": 0.25, "range_min": 0.1, "range_max": 30.0}
 
@@ -306,6 +308,27 @@ def test_a_closed_publisher_says_so(robot, received):
     with pytest.raises(ClientError, match="robot 'r1': the publisher is closed; make a new one"), robot:
         pass
     received(1)
+
+
+def test_feedback_needs_a_mapper_and_an_open_publisher(listener, endpoint):
+    with RobotPublisher("r1", address=endpoint, map_name="hall") as robot:
+        with pytest.raises(NobodyAnswered, match=f"'hall' answered at {endpoint}.*--map hall"):
+            robot.feedback(timeout=0.2)
+        with pytest.raises(BadSetting, match="timeout"):
+            robot.feedback(timeout=0.0)
+    with pytest.raises(ClientError, match="the publisher is closed"):
+        robot.feedback()
+
+
+def test_feedback_is_of_this_robot(listener, endpoint):
+    def answer(query):
+        query.reply(query.key_expr, encode_status(STATUS))
+
+    listener.declare_queryable("ogm/v1/hall/status", answer)
+    with RobotPublisher("r2", address=endpoint, map_name="hall") as robot:
+        assert robot.feedback() == STATUS.robots["r2"]
+    with RobotPublisher("unheard", address=endpoint, map_name="hall") as robot:
+        assert robot.feedback() == RobotStatus(None, None)
 
 
 def test_a_session_that_takes_no_token_is_closed_again(monkeypatch):

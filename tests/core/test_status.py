@@ -6,8 +6,27 @@ from dataclasses import FrozenInstanceError
 
 import pytest
 
-from ogm_core.status import encode_status
+from ogm_core.status import RobotStatus, SourceStatus, encode_status
+from ogm_core.types import Pose
 from status_json import STATUS
+
+HERE = Pose(0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("robot", "gone"),
+    [
+        (RobotStatus(HERE, 1, alive=True, age_s=900.0), False),
+        (RobotStatus(None, None, alive=True), False),
+        (RobotStatus(HERE, 1, alive=False, age_s=60.0), False),
+        (RobotStatus(HERE, 1, alive=False, age_s=60.1), True),
+        (RobotStatus(None, None), True),
+        (RobotStatus(HERE, 1), False),  # an older mapper does not say
+        (RobotStatus(None, None, sources={"s": SourceStatus("", 1, 1, 0, 0)}), False),
+    ],
+)
+def test_a_robot_is_gone_a_minute_after_its_last_message(robot, gone):
+    assert robot.gone is gone
 
 
 def test_its_json_is_word_for_word_this():

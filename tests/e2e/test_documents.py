@@ -109,8 +109,9 @@ def test_tables_of_commands_and_drop_reasons():
 
 @pytest.mark.parametrize("page", [README, *DOCS])
 def test_flags_exist(page):
-    commands = typer.main.get_command(app).commands.values()
-    flags = {flag for command in commands for option in command.params for flag in option.opts} | {"--help"}
+    program = typer.main.get_command(app)
+    options = [option for command in (program, *program.commands.values()) for option in command.params]
+    flags = {flag for option in options for flag in option.opts} | {"--help"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXTS[page].replace("<!--", ""))) - flags == set()
 
 

@@ -8,7 +8,9 @@ from typer.testing import CliRunner
 from ogm_client import MapperError
 from ogm_client.status_reply import read_status
 from ogm_core.lattice import Region
+from ogm_core.placing.receipts import DROP_REASONS
 from ogm_services.cli import app
+from ogm_services.commands.status import WHAT_HELPS
 
 STATUS = {
     "map": "hall",
@@ -28,12 +30,23 @@ STATUS = {
         "r1": {
             "pose": [1.0, -2.5, 3.14159],
             "stamp": 1_700_000_000_500_000_000,
+            "alive": True,
+            "age_s": 0.25,
             "sources": {
-                "back": {"run": "a", "last_seq": 9, "received": 10, "pending": 0, "integrated": 8},
+                "back": {
+                    "run": "a",
+                    "last_seq": 9,
+                    "received": 10,
+                    "pending": 0,
+                    "integrated": 8,
+                    "dropped": {"superseded": 1, "stale": 1},
+                    "hints": ["range_max"],
+                },
                 "front": {"run": "a", "last_seq": None, "received": 40, "pending": 2, "integrated": 33},
             },
         },
-        "r2": {"pose": None, "stamp": None, "sources": {}},
+        "r2": {"pose": None, "stamp": None, "alive": True, "age_s": None, "sources": {}},
+        "r3": {"pose": [0.0, 0.0, 0.0], "stamp": 1, "alive": False, "age_s": 61.0, "sources": {}},
     },
     "uptime_s": 12.3,
 }
@@ -159,6 +172,17 @@ def test_status_as_a_table(ogm, mapper):
     assert rows["stamp"][0] in ("2023-11-14", "2023-11-15")  # 22:13:20 UTC, shown in local time
     assert rows["stamp"][1][2:12] == ":13:20.500" or rows["stamp"][1][5:12] == ":20.500"
     assert " ".join(rows["size"]) == "400 x 300 cells of 0.05 m"
-    assert " ".join(rows["r1"]) == "1.00 -2.50 3.14 back 10 8 0 9"
-    assert rows["front"] == ["40", "33", "2"]
-    assert rows["r2"] == []
+    assert " ".join(rows["r1"]) == "yes 0.2 s ago 1.00 -2.50 3.14"
+    assert rows["r2"] == ["yes"]
+    assert "r3" not in rows, "gone for more than a minute"
+    assert rows["r1/front"] == ["40", "33", "2", "5"]
+    of_back = [line[1:] for line in lines if line and line[0] == "r1/back"]
+    assert of_back[0] == ["10", "8", "0", "2", "9"]
+    assert [" ".join(line[:2]) for line in of_back[1:]] == ["1 superseded", "1 stale", "hint: range_max"]
+    text = " ".join(result.stdout.split())
+    assert "another publisher has taken over the robot's name" in text
+    assert "give every robot" in text
+
+
+def test_every_reason_has_a_cure():
+    assert set(WHAT_HELPS) == set(DROP_REASONS)

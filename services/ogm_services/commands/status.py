@@ -6,12 +6,26 @@ from datetime import UTC, datetime
 from rich import box
 from rich.table import Table
 
-from ogm_core.status import RobotStatus, Status
+from ogm_core.status import PoseCounts, RobotStatus, Status
+
+WHAT_HELPS: Mapping[str, str] = {
+    "malformed": "no scan messages: the mapper's log says what is wrong with them",
+    "no_pose": "no poses around their stamps: publish poses under the robot's name, steadily, from one clock",
+    "duplicate": "their run and seq had come before: give every start of a publisher a run of its own",
+    "stale": "older than the robot's oldest kept pose: take all stamps from one clock",
+    "overload": "more than the mapper can take: send fewer scans, or map with larger cells",
+    "limit": "they would stretch the map past its limits: are their poses and ranges right?",
+    "outside": "every beam leaves the map's bounds",
+    "superseded": "another publisher has taken over the robot's name: give every robot a name of its own",
+    "failed": "a bug of the mapper: its log has the traceback",
+}
+"""Why scans are dropped, and what to do, by reason."""
+HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"
 
 
 def status_tables(status: Status) -> list[Table]:
-    """The mapper's status for the eye: the map as a whole, then a row for every robot and sensor."""
-    scans, poses, info = status.scans, status.poses, status.map_info
+    """The mapper's status for the eye: the map, a row for every robot and sensor, and what went wrong."""
+    scans, info = status.scans, status.map_info
     whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status.map}", title_justify="left")
     whole.add_column(style="bold")
     whole.add_column()
@@ -21,7 +35,7 @@ def status_tables(status: Status) -> list[Table]:
         "stamp": _time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
         "dropped": _nonzero(scans.dropped),
-        "poses": f"{poses.received} received, {poses.malformed} malformed, {poses.late} late",
+        "poses": _poses(status.poses),
         "ignored": status.other.ignored,
         "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
         "known": f"{info.known_cells} cells",
@@ -30,23 +44,58 @@ def status_tables(status: Status) -> list[Table]:
     }
     for label, value in rows.items():
         whole.add_row(label, str(value))
-    return [whole, _sources(status.robots)]
+    shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
+    return [whole, *(table for table in (_robots(shown), _sources(shown), _wrong(shown)) if table.rows)]
+
+
+def _robots(robots: Mapping[str, RobotStatus]) -> Table:
+    """A row for every robot: whether it is alive, when it was heard, and where it was last said to be."""
+    table = _table("robot", "alive", right=("last message", "x", "y", "theta"))
+    for name, robot in robots.items():
+        age = "" if robot.age_s is None else f"{robot.age_s:.1f} s ago"
+        pose = [f"{value:.2f}" for value in robot.pose or ()]
+        table.add_row(name, "yes" if robot.alive else "no", age, *pose)
+    return table
 
 
 def _sources(robots: Mapping[str, RobotStatus]) -> Table:
-    table = Table(box=box.SIMPLE, collapse_padding=True, pad_edge=False)
-    for column in ("robot", "x", "y", "theta", "sensor", "received", "integrated", "pending", "last seq"):
-        table.add_column(column, justify="left" if column in ("robot", "sensor") else "right")
-    for name, robot in sorted(robots.items()):
-        pose = [f"{value:.2f}" for value in robot.pose or ()] or [""] * 3
-        if not robot.sources:
-            table.add_row(name, *pose)
+    """A row for every sensor: what became of its scans."""
+    table = _table("source", right=("received", "integrated", "pending", "dropped", "last seq"))
+    for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
+            dropped = source.received - source.integrated - source.pending
+            numbers = source.received, source.integrated, source.pending, dropped
             last_seq = "" if source.last_seq is None else str(source.last_seq)
-            counts = (source.received, source.integrated, source.pending)
-            table.add_row(name, *pose, sensor, *map(str, counts), last_seq)
-            name, pose = "", [""] * 3  # once per robot
+            table.add_row(f"{name}/{sensor}", *map(str, numbers), last_seq)
     return table
+
+
+def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
+    """A row for every reason that scans of a sensor were dropped for, and for every hint."""
+    table = _table("source", "not in the map", "what helps")
+    for name, robot in robots.items():
+        for sensor, source in sorted(robot.sources.items()):
+            for reason, count in source.dropped.items():
+                table.add_row(f"{name}/{sensor}", f"{count} {reason}", WHAT_HELPS.get(reason, ""))
+            for hint in source.hints:
+                table.add_row(f"{name}/{sensor}", f"hint: {hint}", HINT_HELPS)
+    return table
+
+
+def _table(*left: str, right: tuple[str, ...] = ()) -> Table:
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for column in left:
+        table.add_column(column)
+    for column in right:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _poses(poses: PoseCounts) -> str:
+    """Those received, and of the odd ones those that there are."""
+    odd = ("malformed", "late", "restarted", "ambiguous", "outlier", "superseded")
+    counts = [f"{getattr(poses, name)} {name}" for name in odd if getattr(poses, name)]
+    return ", ".join([f"{poses.received} received", *counts])
 
 
 def _nonzero(dropped: Mapping[str, int]) -> str:

@@ -131,7 +131,7 @@ class MapperService:
         )
         complain = LimitedLog(log).of_kind
         placer = ScanPlacer(self.live_map, receipts, complain, settings.placing_rules(), hints)
-        self._queue, self._receipts = queue, receipts
+        self._queue, self._receipts, self._placer = queue, receipts, placer
         self._worker = Worker(
             queue, placer, receipts, max_beams=limits.max_beams, sensors=SensorRules(settings.sensor_rules())
         )
@@ -187,7 +187,8 @@ class MapperService:
         routes = ZenohRoutes(session, keys)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
-            session, keys, self._queue, self._receipts, self._settings.mapper.max_beams
+            *(session, keys, self._queue, self._receipts, self._placer),
+            max_beams=self._settings.mapper.max_beams,
         )
         opening.callback(subscriber.close)
         routes.claim()

@@ -1,14 +1,15 @@
-"""Zenoh subscriber of the mapper, its only one: it counts messages and puts them into the queue."""
+"""Zenoh subscriber of the mapper, its only one for messages: it counts them and puts them into the queue."""
 
 import logging
 import time
 from contextlib import ExitStack
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import zenoh
 
 from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
 from ogm_services.mapper.intake.queue import Message, ScanQueue
@@ -23,14 +24,23 @@ log = logging.getLogger(__name__)
 class ZenohSubscriber:
     """Takes poses and scans alike, so that their order is kept, until `close`.
 
-    Zenoh's thread calls the callback, which only counts and enqueues: it would hold up the link. What is
-    longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied.
+    Zenoh's thread calls the callbacks, which only count and enqueue: they would hold up the link. What is
+    longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The robots'
+    liveliness tokens take the same way, so that the worker hears of a robot's end after what came before it.
     """
 
     def __init__(
-        self, session: zenoh.Session, keys: MapKeys, queue: ScanQueue, receipts: Receipts, max_beams: int
+        self,
+        session: zenoh.Session,
+        keys: MapKeys,
+        queue: ScanQueue,
+        receipts: Receipts,
+        placer: ScanPlacer,
+        *,
+        max_beams: int,
     ) -> None:
         self._session = session
+        self._placer = placer
         self._keys = keys
         self._source_of = lru_cache(MAX_SOURCES)(keys.source_of)
         self._queue = queue
@@ -41,6 +51,9 @@ class ZenohSubscriber:
 
     def declare(self) -> None:
         """Declare the subscriber: from here on nothing that is put is missed."""
+        tokens = zenoh.handlers.Callback(self._token_changed, indirect=False)
+        alive = self._keys.alive("robot", "*", "*")
+        self._declared.push(self._session.liveliness().declare_subscriber(alive, tokens, history=True))
         callback = zenoh.handlers.Callback(self._received, indirect=False)
         self._declared.push(self._session.declare_subscriber(self._keys.robots, callback))
 
@@ -64,6 +77,15 @@ class ZenohSubscriber:
             if sensor is not None:
                 self._receipts.scan_dropped(robot, sensor, "overload")
                 self._complaints.warning(f"{robot}/{sensor}", "the queue is full, its oldest scan is dropped")
+
+    def _token_changed(self, sample: zenoh.Sample) -> None:
+        """Have the worker told, after the messages that have come, that a robot's run is there or gone."""
+        found = self._keys.robot_of(str(sample.key_expr))
+        if found is None:
+            return
+        here = sample.kind == zenoh.SampleKind.PUT
+        note = self._placer.robot_here if here else self._placer.robot_gone
+        self._queue.put(Message(None, b"", time.monotonic(), partial(note, found.robot, found.run)))
 
     def _too_long(self, source: Source, length: int) -> bool:
         """Whether a message cannot be one of its kind, because of its length in bytes; it is counted."""

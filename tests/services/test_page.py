@@ -1,0 +1,121 @@
+"""The live page, as a browser shows it: robots that are there, and what keeps scans out of the map."""
+
+import json
+import re
+import shutil
+import subprocess
+import threading
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+
+import pytest
+
+from ogm_core.status import RobotStatus, SourceStatus, encode_status
+from ogm_core.types import Pose
+from status_json import STATUS
+
+PAGE = files("ogm_services.mapper.serving") / "page" / "index.html"
+QUALITY = {"scans": 0, "truth": None, "free_m2": 0.0, "occupied_m2": 0.0, "series": {"revision": []}}
+QUALITY |= {"consistency": {"hits": None, "free": None}}
+HERE = Pose(1.0, -2.5, 0.0)
+
+
+@pytest.fixture
+def shown(tmp_path):
+    """`shown(status)`: the rows of the page's tables, texts by table and row."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium is installed")
+
+    def show(status):
+        answers = {
+            "/": PAGE.read_bytes(),
+            "/status": encode_status(status),
+            "/quality": json.dumps(QUALITY).encode(),
+        }
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self):
+                body = answers.get(self.path)
+                self.send_response(404 if body is None else 200)
+                self.send_header("Content-Type", "text/html" if self.path == "/" else "application/json")
+                self.end_headers()
+                self.wfile.write(body or b"")
+
+            def log_message(self, *args):
+                """Stay silent."""
+
+        with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+            server.daemon_threads = True
+            thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+            thread.start()
+            try:
+                done = subprocess.run(
+                    [
+                        *(
+                            browser,
+                            "--headless",
+                            "--no-sandbox",
+                            "--disable-gpu",
+                            "--disable-background-networking",
+                        ),
+                        *(
+                            f"--user-data-dir={tmp_path / 'profile'}",
+                            "--virtual-time-budget=5000",
+                            "--dump-dom",
+                        ),
+                        f"http://127.0.0.1:{server.server_port}/",
+                    ],
+                    capture_output=True,
+                    text=True,
+                    timeout=300,
+                    check=True,
+                )
+            finally:
+                server.shutdown()
+                thread.join()
+        assert "waiting for the first scan" in done.stdout
+        return done.stdout
+
+    return show
+
+
+def rows(dom, table):
+    (inside,) = re.findall(rf'<table id="{table}">(.*?)</table>', dom, re.DOTALL)
+    cells = (re.findall(r"<t[dh]>(.*?)</t[dh]>", row) for row in inside.split("</tr>"))
+    return [[re.sub("<[^>]*>", "", cell) for cell in row] for row in cells if row]
+
+
+def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
+    front = SourceStatus("a", 9, 12, 1, 4, {"no_pose": 5, "superseded": 2}, ["range_max"])
+    status = replace(
+        STATUS,
+        map_info=replace(STATUS.map_info, width=0, height=0),
+        robots={
+            "here": RobotStatus(HERE, 7, True, 0.25, {"front": front}),
+            "quiet": RobotStatus(None, None, True, None),
+            "leaving": RobotStatus(HERE, 7, False, 59.0, {"s": SourceStatus("a", 1, 2, 0, 2)}),
+            "gone": RobotStatus(HERE, 7, False, 61.0, {"s": SourceStatus("a", 1, 2, 0, 1, {"stale": 1})}),
+        },
+    )
+    dom = shown(status)
+    assert rows(dom, "robots") == [
+        ["name", "x, y (m)", "alive", "heard", "scans"],
+        ["here", "1.0, -2.5", "yes", "0 s ago", "4"],
+        ["leaving", "1.0, -2.5", "no", "59 s ago", "2"],
+        ["quiet", "none", "yes", "never", "0"],
+    ]
+    assert rows(dom, "reasons") == [
+        ["here/front: no_pose", "5"],
+        ["here/front: superseded", "2"],
+        ["here/front: hint range_max", "see the log"],
+    ]
+    assert '<section id="wrong">' in dom
+
+
+def test_a_page_of_a_map_that_lacks_nothing_says_nothing_of_it(shown):
+    status = replace(STATUS, map_info=replace(STATUS.map_info, width=0, height=0), robots={})
+    dom = shown(status)
+    assert rows(dom, "robots") == [["none yet"]]
+    assert '<section id="wrong" hidden="">' in dom
