@@ -135,6 +135,7 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
     scans, poses = status["scans"], status["poses"]
     assert samples.pop(("ogm_uptime_seconds",)) > status["uptime_s"]
     assert samples.pop(("ogm_map_known_cells",)) <= 14
+    assert samples.pop(("ogm_robot_age_seconds", "r")) >= status["robots"]["r"]["age_s"]
     assert {reason[1]: samples.pop(("ogm_scans_dropped_total", reason[1])) for reason in list(samples)
             if reason[0] == "ogm_scans_dropped_total"} == scans["dropped"]  # fmt: skip
     assert samples == {
@@ -144,10 +145,16 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
         ("ogm_poses_received_total",): poses["received"],
         ("ogm_poses_refused_total", "malformed"): poses["malformed"],
         ("ogm_poses_refused_total", "late"): poses["late"],
+        ("ogm_poses_refused_total", "outlier"): 0,
+        ("ogm_poses_refused_total", "superseded"): 0,
+        ("ogm_poses_restarted_total",): 0,
+        ("ogm_poses_ambiguous_total",): 0,
         ("ogm_messages_ignored_total",): status["other"]["ignored"],
         ("ogm_map_revision",): 3,
         ("ogm_map_bytes",): status["map_info"]["bytes"],
         ("ogm_robots",): 1,
+        ("ogm_robot_alive", "r"): 0,
+        ("ogm_source_scans_dropped_total", "r", "s", "malformed"): 1,
     }
     assert (scans["dropped"]["malformed"], poses, status["other"]) == (
         1,
@@ -157,7 +164,7 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
 
 
 def prometheus(text):
-    """Samples by (name, reason), every line checked against the exposition format."""
+    """Samples by name and labels, every line checked against the exposition format."""
     assert text.endswith("\n")
     samples, kinds, helped = {}, {}, set()
     for line in text.splitlines():
@@ -169,11 +176,11 @@ def prometheus(text):
             assert name not in kinds
             kinds[name] = kind
         else:
-            sample = re.fullmatch(r'(\w+)\{map="hall"(?:,reason="(\w+)")?\} ([0-9.e+-]+)', line)
+            sample = re.fullmatch(r'(\w+)\{map="hall"((?:,\w+="\w+")*)\} ([0-9.e+-]+)', line)
             assert sample, line
-            name, reason, value = sample.groups()
+            name, labels, value = sample.groups()
             assert kinds[name] == ("counter" if name.endswith("_total") else "gauge")
-            key = (name, reason) if reason else (name,)
+            key = (name, *re.findall(r'"(\w+)"', labels))
             assert key not in samples
             samples[key] = float(value)
     return samples
