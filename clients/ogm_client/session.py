@@ -170,6 +170,8 @@ def _attempt(config: NetworkConfig) -> float:
 
 def _check_endpoint(endpoint: str) -> None:
     """Refuse what Zenoh would try in vain, without a word of what is wrong with it."""
+    if not isinstance(endpoint, str):
+        raise BadSetting(f"connect: a text such as {DEFAULT_ADDRESS} is needed, got {endpoint!r}")
     protocol, slash, rest = endpoint.partition("/")
     example = f"an endpoint looks like {DEFAULT_ADDRESS}"
     if rest.startswith("/"):

@@ -336,10 +336,11 @@ def status(
 ) -> None:
     """Show what a running mapper is doing."""
     from ogm_client import MapClient
+    from ogm_client.transport import json_object
 
     with MapClient(url, map_name=map_name) as client:
         if as_json:
-            typer.echo(json.dumps(json.loads(client.fetch("status")), indent=2))
+            typer.echo(json.dumps(json_object("status", client.fetch("status")), indent=2))
             return
         answer = client.status()
     from rich.console import Console

@@ -179,6 +179,20 @@ def test_who_is_told_to_wait_says_once_for_what(endpoint, caplog, eventually):
     assert caplog.messages == [f"waiting for a mapper or a Zenoh router at {endpoint}"]
 
 
+def test_with_a_configuration_file_one_may_wait_too(tmp_path, endpoint, caplog, eventually):
+    """In Zenoh's own settings a client tries once."""
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f'{{mode: "client", connect: {{endpoints: ["{endpoint}"]}}}}')
+    opened = []
+    config = NetworkConfig(config_file=file, connect_timeout=math.inf)
+    waiting = threading.Thread(target=lambda: opened.append(open_session(config)))
+    waiting.start()
+    eventually(lambda: caplog.messages == [f"waiting for a mapper or a Zenoh router at {endpoint}"])
+    with open_session(NetworkConfig(listen=(endpoint,))):
+        waiting.join(30.0)
+        opened[0].close()
+
+
 def test_a_wait_ends(endpoint, caplog):
     with pytest.raises(CannotConnect, match=endpoint):
         open_session(NetworkConfig(connect=(endpoint,), connect_timeout=2.5))

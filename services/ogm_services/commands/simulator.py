@@ -125,10 +125,7 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
     with ExitStack() as opening:
         config = replace(network.for_client(), connect_timeout=options.connect_timeout)
         session = opening.enter_context(open_session(config))
-        queryables = Queryables(session, threads=1)
-        opening.callback(queryables.close)
         keys = MapKeys(network.map_name)
-        queryables.declare(keys.truth, truth)
         robots = {
             robot: opening.enter_context(
                 RobotPublisher(robot, session=session, map_name=network.map_name, run=run)
@@ -136,6 +133,9 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
             for robot in simulation.robots
         }
         _refuse_namesakes(session, keys, simulation.robots, run)
+        queryables = Queryables(session, threads=1)
+        opening.callback(queryables.close)
+        queryables.declare(keys.truth, truth)
         _wait_for_mapper(robots[simulation.robots[0]])
         typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
         for step in _ticks(options):
