@@ -118,6 +118,9 @@ class Lattice:
     def cover(self, region: Region) -> CellRect:
         """The smallest rectangle of cells that covers `region` (rounded outward).
 
+        An edge of the region within 1e-6 cells of an edge between cells is that one: sums and products of
+        the resolution seldom meet it exactly. So a region on the edges of cells covers these, and no others.
+
         Raises:
             BadParameter: the region is inverted, empty or not finite.
         """
@@ -130,9 +133,10 @@ class Lattice:
         return CellRect(ix, iy, max(1, right - ix), max(1, top - iy))
 
     def _index(self, value: float, axis: int) -> float:
-        """Coordinate in cells, cut off where cells can no longer be told apart."""
+        """Coordinate in cells, whole within 1e-6, cut off where cells can no longer be told apart."""
         cells = (value - self.anchor[axis]) / self.resolution
-        return min(max(cells, -float(MAX_INDEX)), float(MAX_INDEX))
+        cells = min(max(cells, -float(MAX_INDEX)), float(MAX_INDEX))
+        return round(cells) if abs(cells - round(cells)) <= _WHOLE else cells
 
 
 def bounded(resolution: float, bounds: Region) -> tuple[Lattice, CellRect]:

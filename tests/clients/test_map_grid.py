@@ -142,6 +142,14 @@ def test_a_part_is_a_copy_of_its_cells(region, offset, cells, dtype):
     assert not np.shares_memory(part.log_odds, grid.log_odds)
 
 
+def test_a_part_on_the_edges_of_cells_is_exactly_these():
+    grid = grid_of(np.zeros((120, 120)), resolution=0.1, anchor=(-6.0, -6.0), offset=(0, 0))
+    for ix in range(120):
+        west, east = -6.0 + ix * 0.1, -6.0 + (ix + 1) * 0.1
+        part = grid.crop((west, round(west, 6), east, round(east, 6)))
+        assert (part.width, part.height, part.offset) == (1, 1, (ix, ix))
+
+
 def test_a_point_of_a_part_is_that_of_the_whole():
     grid, point = grid_of(), (9.75, -17.75)
     part = grid.crop((9.6, -17.9, 9.7, -17.8))

@@ -77,6 +77,23 @@ def test_a_region_is_covered_outward(region, rect):
     assert Lattice(0.25).cover(Region(*region)) == CellRect(*rect)
 
 
+@pytest.mark.parametrize(("resolution", "anchor"), [(0.05, 0.0), (0.1, -10.0), (0.03, -15.1), (1 / 3, 1e4)])
+def test_a_region_on_the_edges_of_cells_covers_exactly_these(resolution, anchor):
+    """However its edges were computed: rounding leaves them beside the cells' own by a few 1e-13 cells."""
+    lattice = Lattice(resolution, (anchor, anchor))
+    for k in range(-60, 60):
+        west, east = anchor + k * resolution, anchor + (k + 1) * resolution
+        assert lattice.cover(Region(west, west, east, east)) == CellRect(k, k, 1, 1)
+        short = Region(*(round(edge, 8) for edge in (west, west, east, east)))
+        assert lattice.cover(short) == CellRect(k, k, 1, 1)
+
+
+def test_only_what_is_within_a_millionth_of_a_cell_is_taken_for_its_edge():
+    lattice = Lattice(1.0)
+    assert lattice.cover(Region(2 - 0.9e-6, 2 + 0.9e-6, 5 + 0.9e-6, 5 - 0.9e-6)) == CellRect(2, 2, 3, 3)
+    assert lattice.cover(Region(2 - 1.1e-6, 2.0, 5 + 1.1e-6, 5.0)) == CellRect(1, 2, 5, 3)
+
+
 def test_cover_counts_from_the_anchor():
     assert Lattice(0.5, (-10.25, 3.0)).cover(Region(-10.0, 3.0, -9.75, 4.1)) == CellRect(0, 0, 1, 3)
 

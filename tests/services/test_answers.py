@@ -103,6 +103,15 @@ def test_an_answer_is_kept_by_its_format_and_parameters_in_any_order(desk):
     assert desk.answers.map("png", {"palette": "ros", **region}) is first
 
 
+def test_a_region_on_the_edges_of_cells_gives_exactly_these(monkeypatch):
+    desk = Desk(monkeypatch, GridSettings(resolution=0.05))
+    desk.scan(3.0, 3.0, 3.0, 3.0)
+    for ix in range(-50, 60):
+        west, east = ix * 0.05, (ix + 1) * 0.05
+        answer = desk.answers.map("json", {"region": f"{west!r},{west!r},{east!r},{east!r}"})
+        assert (answer.meta["width"], answer.meta["height"], answer.meta["offset"]) == (1, 1, [ix, ix])
+
+
 def test_what_is_kept_is_bounded(desk, monkeypatch):
     desk.scan(2.0)
     size = len(desk.answers.map("json", {}).body) + answers_module.BYTES_BESIDES
