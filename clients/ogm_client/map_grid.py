@@ -221,7 +221,8 @@ class MapGrid:
             target = target.with_name(f"{target.name}.yaml")
         picture = target.with_suffix(".pgm")
         snap = self._snapshot()
-        encoded, description = encode_pgm(snap), encode_yaml(snap, picture.name)
+        encoded = encode_pgm(snap)
+        description = encode_yaml(snap, picture.name, encoded)
         write_files({picture: encoded, target: description})
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
 from ogm_core.errors import BadInput, BadParameter, MapEmpty
-from ogm_core.files.ros_map_writer import write_pgm, write_yaml
+from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
 from ogm_core.pictures.png import write_png
 from ogm_core.snapshot import MapSnapshot
 
@@ -58,14 +58,16 @@ def encode_pgm(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
     return write_pgm(_picture(snap, palette))
 
 
-def encode_yaml(snap: MapSnapshot, image_name: str) -> bytes:
-    """nav2 map_server's description of the PGM named `image_name`, UTF-8.
+def encode_yaml(snap: MapSnapshot, image_name: str, pgm: bytes | None = None) -> bytes:
+    """nav2 map_server's description of the PGM named `image_name`, UTF-8, with that file's size and CRC-32.
+
+    `pgm` is what `encode_pgm` made of this snapshot, if that is at hand.
 
     Raises:
         MapEmpty: there is no picture to describe.
     """
-    _check_not_empty(snap)
-    return write_yaml(image_name, snap.resolution, snap.origin).encode()
+    seal = Seal(snap.width, snap.height, zlib.crc32(encode_pgm(snap) if pgm is None else pgm))
+    return write_yaml(image_name, snap.resolution, snap.origin, seal).encode()
 
 
 def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> bytes:

@@ -1,6 +1,7 @@
 """ROS map writer: the pair that nav2's map_server loads, a PGM picture and the YAML that places it."""
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,28 @@ def write_pgm(grey: NDArray[np.uint8]) -> bytes:
     return b"P5\n%d %d\n255\n" % (width, height) + grey.tobytes()
 
 
-def write_yaml(image_name: str, resolution: float, origin: tuple[float, float]) -> str:
+class Seal(NamedTuple):
+    """What tells a description's own picture from another map's: pixels a row, rows, CRC-32 of the file.
+
+    map_server passes over these keys; `read_ros_map` refuses a picture that does not agree with them. They
+    may have been written one after the other while somebody read.
+    """
+
+    width: int
+    height: int
+    crc32: int
+
+
+def write_yaml(
+    image_name: str, resolution: float, origin: tuple[float, float], seal: Seal | None = None
+) -> str:
     """Map description for a trinary picture, every number exact.
 
     Args:
         image_name: the picture's file name, relative to the YAML file.
         resolution: metres per pixel.
         origin: world position of the picture's lower-left corner, m.
+        seal: of the picture; without one, any picture is taken for it.
     """
     x, y = origin
     lines = (
@@ -31,6 +47,7 @@ def write_yaml(image_name: str, resolution: float, origin: tuple[float, float]) 
         "negate: 0",
         f"occupied_thresh: {_number(OCCUPIED_ABOVE)}",
         f"free_thresh: {_number(FREE_BELOW)}",
+        *(f"{key}: {value}" for key, value in (seal._asdict() if seal else {}).items()),
     )
     return "\n".join(lines) + "\n"
 

@@ -2,6 +2,7 @@
 
 import io
 import math
+import zlib
 
 import numpy as np
 import pytest
@@ -209,6 +210,9 @@ def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
         "negate": 0,
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
+        "width": 2,
+        "height": 3,
+        "crc32": zlib.crc32((tmp_path / f"{name}.pgm").read_bytes()),
     }
     with Image.open(tmp_path / f"{name}.pgm") as image:
         np.testing.assert_array_equal(np.asarray(image), [[205, 205], [254, 205], [205, 0]])

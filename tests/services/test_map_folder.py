@@ -40,6 +40,20 @@ def test_a_file_that_cannot_be_written_leaves_the_old_map(tmp_path, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == NAMES
 
 
+def test_files_take_their_names_one_after_the_other(tmp_path, monkeypatch):
+    """All are on disk before; the picture comes before the YAML that places it, what is judged last."""
+    named = []
+    replace = Path.replace
+
+    def noted(part, target):
+        named.append((target.name, len(list(tmp_path.glob(".ogm-*.part")))))
+        return replace(part, target)
+
+    monkeypatch.setattr(Path, "replace", noted)
+    write_map(tmp_path, snapshot(), {})
+    assert named == [("map.npz", 5), ("map.png", 4), ("map.pgm", 3), ("map.yaml", 2), ("quality.json", 1)]
+
+
 def test_a_folder_that_cannot_be_made_is_found_out_before(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(BadInput, match=r"^--out .*file/out: cannot be written: Not a directory$"):

@@ -14,8 +14,8 @@ from ogm_core.whole_files import check_file, write_files
 from ogm_services.results.written import written
 
 QUALITY = "quality.json"
-NAMES = ("map.png", "map.pgm", "map.yaml", "map.npz", QUALITY)
-"""What is written of a map."""
+NAMES = ("map.npz", "map.png", "map.pgm", "map.yaml", QUALITY)
+"""What is written of a map, in the order in which the files take their names."""
 
 
 def check_folder(out: Path) -> None:
@@ -47,7 +47,7 @@ def check_place(out: Path) -> None:
 
 
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
-    """Write map.png, map.pgm, map.yaml, map.npz and quality.json into the folder `out`, made if need be.
+    """Write map.npz, map.png, map.pgm, map.yaml and quality.json into the folder `out`, made if need be.
 
     Everything is encoded before anything is written, and on disk before the first file takes its name. Where
     `quality` is still to come, by `write_quality`, there is no quality.json afterwards: an old one would be
@@ -57,11 +57,12 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) 
         MapEmpty: there is nothing to draw.
         BadInput: the folder cannot be written.
     """
+    pgm = encode_pgm(snapshot)
     files = {
-        "map.png": encode_png(snapshot),
-        "map.pgm": encode_pgm(snapshot),
-        "map.yaml": encode_yaml(snapshot, "map.pgm"),
         "map.npz": encode_npz(snapshot),
+        "map.png": encode_png(snapshot),
+        "map.pgm": pgm,
+        "map.yaml": encode_yaml(snapshot, "map.pgm", pgm),
     }
     if quality is not None:
         files[QUALITY] = _readable(quality).encode()
