@@ -2,11 +2,14 @@
 
 import io
 import json
+import zlib
 
 import numpy as np
 import pytest
 import yaml
 from PIL import Image
+
+from ogm_services.mapper.serving import answers
 
 FORMATS = {
     "png": "image/png",
@@ -106,6 +109,8 @@ def test_pgm_and_yaml_are_read_as_nav2_reads_them(cross):
     description = yaml.safe_load(cross.http.get("/map.yaml").content)
     assert description.pop("image") == "map.pgm"
     occupied, free = description.pop("occupied_thresh"), description.pop("free_thresh")
+    crc32 = zlib.crc32(cross.http.get("/map.pgm").content)
+    assert (description.pop("width"), description.pop("height"), description.pop("crc32")) == (7, 9, crc32)
     assert description == {"mode": "trinary", "resolution": 0.5, "origin": [-1.0, -2.5, 0.0], "negate": 0}
     p = (255 - picture(cross.http.get("/map.pgm")).astype(float)) / 255
     read = np.where(p > occupied, 100, np.where(p < free, 0, -1))[::-1]
@@ -166,7 +171,8 @@ def block(percent):
 
 
 BAD_REGIONS = ["1,1,0,0", "0,1,1,0", "0,0,0,1", "nan,0,1,1", "0,0,inf,1", "-inf,0,1,1", "100,100,101,101"]
-BAD_REGIONS += ["3,0,4,1", "0,0,1", "0,0,1,1,1", "a,b,c,d", "", "0;0;1;1"]
+BAD_REGIONS += ["3,0,4,1", "0,0,1", "0,0,1,1,1", "a,b,c,d", "", "0;0;1;1", "0,0,1_0,1", "0,0,0x1,1"]
+BAD_REGIONS += ["0,0,%D9%A1,1"]
 ANYWHERE = [f"region={region}" for region in BAD_REGIONS] + ["regoin=0,0,1,1", "x=1", "=1", "region", "stamp"]
 ANYWHERE += ["region=0,0,1,1&region=0,0,1,1", "format=png"]
 MAX_SIZES = ["0", "-1", "1.5", "", "many", "9999999999", "%C2%B2", "1e3"]
@@ -231,6 +237,70 @@ def test_not_modified(cross, sent, status):
         assert response.content == (whole.content if status == 200 else b"")
         for name in ("etag", "cache-control", "ogm-epoch", "ogm-revision", "ogm-stamp"):
             assert response.headers[name] == whole.headers[name]
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        ("{etag}", 200),
+        ('"other", {etag}', 200),
+        ('"other"\n{etag}', 200),
+        ("*", 200),
+        ('"other"', 412),
+        ("W/{etag}", 412),  # a weak one may stand for other bytes
+        ('W/"a", "b"', 412),
+        ("", 412),
+    ],
+)
+def test_a_map_is_sent_only_if_it_is_the_one_that_is_wanted(cross, sent, status):
+    for form in FORMATS:
+        whole = cross.http.get(f"/map.{form}")
+        lines = sent.format(etag=whole.headers["etag"]).split("\n")
+        for query in ("", "?region=-9,-9,9,9", "?region=-9,-9,9,9&t=1"):
+            plain = cross.http.get(f"/map.{form}{query}")
+            response = cross.http.get(f"/map.{form}{query}", headers=[("If-Match", line) for line in lines])
+            if status == 412:
+                assert whole.headers["etag"] in problem(response, 412, "map-changed")
+            else:
+                assert (response.status_code, response.content) == (200, plain.content)
+
+
+def test_what_is_wanted_is_looked_at_before_what_is_known(cross):
+    etag = cross.http.get("/map.yaml").headers["etag"]
+    for wanted, known, status in ((etag, etag, 304), ('"no"', etag, 412), ('"no"', '"no"', 412)):
+        headers = {"If-Match": wanted, "If-None-Match": known}
+        assert cross.http.get("/map.yaml", headers=headers).status_code == status
+
+
+def test_yaml_and_pgm_fetched_by_hand_are_one_map_or_refused(mapper):
+    """A scan comes between the two requests: without If-Match a new picture would meet an old origin."""
+    mapper.draw_cross()
+    first = mapper.http.get("/map.yaml")
+    pair = {"If-Match": first.headers["etag"]}
+    picture = mapper.http.get("/map.pgm", headers=pair).raise_for_status()
+    assert yaml.safe_load(first.content)["crc32"] == zlib.crc32(picture.content)
+    mapper.scan([2.4], pose=[3.0, 0.25, 0.0], at=9)
+    mapper.settle(received=4)
+    for _ in range(2):
+        assert "begin again" in problem(mapper.http.get("/map.pgm", headers=pair), 412, "map-changed")
+        mapper.http.get("/map.pgm").raise_for_status()
+
+
+def test_what_a_viewer_adds_against_caches_is_not_heard(cross, monkeypatch):
+    encoded = []
+    npz = answers.encode_npz
+    monkeypatch.setattr(answers, "encode_npz", lambda *given: (encoded.append(1), npz(*given))[1])
+    for k in range(5):
+        cross.http.get(f"/map.npz?region=-1,-1,1.{k // 4},1&t={k}").raise_for_status()
+    assert len(encoded) == 2, "once a map, not once a request"
+    for path in ("/map.png", "/map.json?values=trinary", "/map.yaml?region=0,0,1,1", "/cell?x=0&y=0"):
+        join = "&" if "?" in path else "?"
+        plain = cross.http.get(path)
+        for added in ("t=1764345600", "t=", "t", "t=1&t=2", "%74=5"):
+            for url in (f"{path}{join}{added}", path.replace("?", f"?{added}&")):
+                assert cross.http.get(url).content == plain.content, url
+    assert cross.http.get("/status?t=1").status_code == 200
+    assert "T: unknown" in problem(cross.http.get("/map.png?T=1"), 400, "bad-parameter")
 
 
 def test_a_bad_request_is_told_even_if_the_map_is_not_modified(cross):

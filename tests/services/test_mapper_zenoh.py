@@ -38,6 +38,7 @@ def told(reply):
         ("format=yaml;region=0,0,1,1", "/map.yaml?region=0,0,1,1"),
         ("format=npz", "/map.npz"),
         ("format=npz;_time=[now(-1h)..]", "/map.npz"),
+        ("t=1;format=png;t=2", "/map.png"),
     ],
 )
 def test_the_map_is_what_http_serves(cross, parameters, path):

@@ -25,6 +25,12 @@ class UnknownName(OgmError):
     slug = "not-found"
 
 
+class Changed(OgmError):
+    """The map is no longer the one that a request's If-Match names."""
+
+    slug = "map-changed"
+
+
 class CrossOrigin(OgmError):
     """A page of another origin asks a browser to change something here."""
 

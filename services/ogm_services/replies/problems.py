@@ -4,7 +4,7 @@ import http
 import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
-from ogm_services.replies.answer import Busy, CrossOrigin, Unavailable, UnknownName
+from ogm_services.replies.answer import Busy, Changed, CrossOrigin, Unavailable, UnknownName
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -14,6 +14,7 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (UnknownName, 404),
     (BadInput, 400),
     (CrossOrigin, 403),
+    (Changed, 412),
     (Busy, 503),
     (Unavailable, 503),
 )

@@ -88,7 +88,7 @@ def _reply(query: zenoh.Query, key: str, answer: Callable[[zenoh.Query], Answer]
 
 
 def _parameters(query: zenoh.Query) -> dict[str, str]:
-    """The selector's parameters; names that begin with "_" are Zenoh's own.
+    """The selector's parameters; names that begin with "_" are Zenoh's, and `t` is not heard, as over HTTP.
 
     Raises:
         BadParameter: one is given twice (Zenoh's own reading would silently take the last).
@@ -96,6 +96,8 @@ def _parameters(query: zenoh.Query) -> dict[str, str]:
     given: dict[str, str] = {}
     for part in filter(None, str(query.parameters).split(";")):
         name, _, value = part.partition("=")
+        if name == "t":
+            continue
         if name in given:
             raise BadParameter(f"{name}: given twice")
         given[name] = value

@@ -1,6 +1,7 @@
 """Values of settings: what they can be, how they are written as text, and the presets."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,20 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 """Map settings that replace the defaults, by the preset's name."""
 
 
+_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
+
+
+def parse_number(text: str) -> float:
+    """A number in decimal digits; float alone would also take what only Python writes so, such as 1_0 for 10.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not _NUMBER.fullmatch(text):
+        raise ValueError(f"a number is needed, got {text!r}")
+    return float(text)
+
+
 def parse_region(value: object) -> Region:
     """Region from the text XMIN,YMIN,XMAX,YMAX or from a list of four numbers, m.
 
@@ -45,7 +60,7 @@ def parse_region(value: object) -> Region:
             and len(parts) == 4
             and not any(isinstance(p, bool) for p in parts)
         ):
-            return Region(*map(float, parts))
+            return Region(*(parse_number(p) if isinstance(p, str) else float(p) for p in parts))
     except (TypeError, ValueError):
         pass
     raise ValueError("four numbers XMIN,YMIN,XMAX,YMAX are needed")

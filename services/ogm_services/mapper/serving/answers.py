@@ -27,6 +27,7 @@ from ogm_core.status import Status, encode_status
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
+from ogm_services.settings.values import parse_number
 
 CACHE_BYTES = 64 * 1024**2
 """Encoded maps of the current revision that are kept for the next who asks."""
@@ -285,9 +286,9 @@ def _number(name: str, text: str | None) -> float:
     if text is None:
         raise BadParameter(f"{name}: missing")
     try:
-        return float(text)
-    except ValueError:
-        raise BadParameter(f"{name}: a number is needed, got {text!r}") from None
+        return parse_number(text)
+    except ValueError as error:
+        raise BadParameter(f"{name}: {error}") from None
 
 
 def _json(value: dict[str, Any]) -> Answer:

@@ -5,6 +5,7 @@ import logging
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from urllib.parse import unquote_plus
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
@@ -18,12 +19,13 @@ from ogm_core.errors import BadParameter, OgmError
 from ogm_core.status import Status
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.serving.metrics import prometheus_text
-from ogm_services.mapper.serving.ready_maps import ReadyMaps
+from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.replies.answer import Answer, Parameters, Starting
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
 
-NO_STORE = {"Cache-Control": "no-store"}
+UNHEARD = "t"
+"""Query parameter that viewers add, with a new value each time, lest a cache answers them."""
 RETRY_AFTER = "2"
 """When to ask a mapper again that is starting, s."""
 
@@ -65,6 +67,23 @@ class _NoStore:
         await self._app(scope, receive, send_marked)
 
 
+class _WithoutUnheard:
+    """ASGI middleware: nothing behind it sees the query parameter UNHEARD, neither a route nor a cache."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["query_string"]:
+            heard = [
+                part
+                for part in scope["query_string"].split(b"&")
+                if unquote_plus(part.partition(b"=")[0].decode("latin-1")) != UNHEARD
+            ]
+            scope = {**scope, "query_string": b"&".join(heard)}
+        await self._app(scope, receive, send)
+
+
 def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
     """Make the application; nothing is computed before a request comes."""
     version = importlib.metadata.version("zenoh-ogm")
@@ -78,6 +97,7 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
+    app.add_middleware(_WithoutUnheard)  # the last one is the first that a request meets
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
         _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))

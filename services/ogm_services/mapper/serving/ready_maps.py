@@ -1,4 +1,4 @@
-"""HTTP cache validation: maps that have not changed since they were asked for last."""
+"""HTTP validators: maps that are ready to be sent, have not changed, or are no longer the one wanted."""
 
 import re
 
@@ -7,7 +7,11 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ogm_services.mapper.live.live_map import Identity
 from ogm_services.mapper.serving.answers import BYTES_BESIDES, CACHE_BYTES, Answers
-from ogm_services.replies.answer import Answer
+from ogm_services.replies.answer import Answer, Changed
+from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
+
+NO_STORE = {"Cache-Control": "no-store"}
+"""Header of whatever caches may not keep."""
 
 
 class ReadyMaps:
@@ -52,7 +56,7 @@ class ReadyMaps:
 
 
 class _ReadyMap:
-    """The two responses that a map can be, with its body and without."""
+    """The responses that a map can be: itself, that it is the one known, that it is not the one wanted."""
 
     def __init__(self, answer: Answer) -> None:
         headers = _map_headers(answer)
@@ -60,11 +64,18 @@ class _ReadyMap:
         self._etag = headers["ETag"]
         self._whole = Response(answer.body, media_type=answer.media_type, headers=headers)
         self._not_modified = Response(status_code=304, headers=headers)
+        changed = Changed(f"the map is at {self._etag} now, which is not what If-Match asks for: begin again")
+        self._changed = Response(problem_of(changed), status_of(changed), NO_STORE, MEDIA_TYPE)
 
     def response_to(self, scope: Scope) -> Response:
-        """One of the two, as the request's validators want it; it may be sent any number of times."""
-        given = [value.decode("latin-1") for name, value in scope["headers"] if name == b"if-none-match"]
-        return self._not_modified if _matches(given, self._etag) else self._whole
+        """One of them, as the request's validators want it; it may be sent any number of times.
+
+        If-Match is looked at first (RFC 9110, section 13.2.2).
+        """
+        wanted, known = (_lines(scope, name) for name in (b"if-match", b"if-none-match"))
+        if wanted and not _matches(wanted, self._etag, weak=False):
+            return self._changed
+        return self._not_modified if _matches(known, self._etag, weak=True) else self._whole
 
 
 def _map_headers(answer: Answer) -> dict[str, str]:
@@ -81,9 +92,18 @@ def _map_headers(answer: Answer) -> dict[str, str]:
     }
 
 
-def _matches(if_none_match: list[str], etag: str) -> bool:
-    """Whether a request's validators, of all header lines, name this one.
+def _lines(scope: Scope, header: bytes) -> list[str]:
+    return [value.decode("latin-1") for name, value in scope["headers"] if name == header]
 
-    RFC 9110, section 13.1.2: weak comparison; section 5.3: lines of a list are one list.
+
+def _matches(lines: list[str], etag: str, *, weak: bool) -> bool:
+    """Whether a request's validators, of all lines of a header, name this one.
+
+    RFC 9110, section 8.8.3.2: with `weak` comparison W/ does not matter, else it never matches; section 5.3:
+    lines of a list are one list.
     """
-    return any(line.strip() == "*" or etag in re.findall(r'"[^"]*"', line) for line in if_none_match)
+    alike = (etag, f"W/{etag}") if weak else (etag,)
+    return any(
+        line.strip() == "*" or any(given in alike for given in re.findall(r'(?:W/)?"[^"]*"', line))
+        for line in lines
+    )
