@@ -1,5 +1,10 @@
-"""Strict YAML reader: plain values, and errors for what YAML libraries silently let through."""
+"""Strict YAML reader: plain values, and errors for what YAML libraries silently let through.
 
+Numbers are those of YAML 1.2 (section 10.3.2), as other programs read them, too: 012 is twelve and 5e-2 a
+number, while YAML 1.1 takes the first for ten, the second for a word, and 1:30 for ninety.
+"""
+
+import re
 from collections.abc import Hashable, Mapping
 from typing import Any
 
@@ -14,8 +19,16 @@ _PRINTABLE = 1e6
 """Integers beyond this are not spelt out."""
 
 
+NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+"""Numbers in decimal digits, as text."""
+_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_REAL = re.compile(rf"{NUMBER.pattern}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
 # libyaml's loader is several times faster; PyYAML is also built without it.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 class _Loader(_SafeLoader):  # type: ignore[misc]
@@ -32,6 +45,26 @@ class _Loader(_SafeLoader):  # type: ignore[misc]
         return mapping
 
 
+def _whole(loader: Any, node: yaml.ScalarNode) -> int:  # noqa: ANN401 (whichever loader there is)
+    text = str(loader.construct_scalar(node))
+    digits = text.lstrip("+-")
+    return int(text, {"0o": 8, "0x": 16}.get(digits[:2], 10))
+
+
+class _Dumper(_SafeDumper):  # type: ignore[misc]
+    """SafeDumper that puts texts in quotes which are numbers to `_Loader`."""
+
+
+for _kind in (_Loader, _Dumper):
+    _kind.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NUMBER_TAGS]
+        for first, resolvers in _kind.yaml_implicit_resolvers.items()
+    }
+    for _tag, _pattern in zip(_NUMBER_TAGS, (_WHOLE, _REAL), strict=True):
+        _kind.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern.pattern})\Z"), list("-+.0123456789"))
+_Loader.add_constructor(_NUMBER_TAGS[0], _whole)
+
+
 def parse_yaml(text: str) -> object:
     """The plain value that YAML text stands for.
 
@@ -45,6 +78,11 @@ def parse_yaml(text: str) -> object:
     except YAML_ERRORS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"not YAML that can be read ({reason[:300]})") from error
+
+
+def dump_yaml(value: object) -> str:
+    """YAML text that `parse_yaml` reads as the same plain value; innermost lists are on one line."""
+    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=None))
 
 
 def _check_depth(text: str) -> None:

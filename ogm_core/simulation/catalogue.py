@@ -18,10 +18,13 @@ BUILT_IN: Mapping[str, Callable[[], World]] = {"lab": lab, "office": office}
 """The worlds that have a name."""
 
 
-def world_named(name_or_path: str, start: Point | None = None) -> World:
+def world_named(
+    name_or_path: str, start: Point | None = None, *, tell: Callable[[str], None] = lambda _: None
+) -> World:
     """The built-in world of that name, else that of the YAML file at that path: a world file, or a ROS map.
 
-    `start`, m, is where in a ROS map the robot begins; other worlds say that themselves.
+    `start`, m, is where in a ROS map the robot begins; other worlds say that themselves. `tell` is told, in
+    one line, what of a ROS map is not as its file says (see `read_ros_map`).
 
     Raises:
         BadWorld: there is no such file, it cannot be read, it is not a world, or no robot can begin there.
@@ -41,7 +44,7 @@ def world_named(name_or_path: str, start: Point | None = None) -> World:
     try:
         fields = fields_of(text)
         if "image" in fields:
-            return _world_of_map(Path(name_or_path), start)
+            return _world_of_map(Path(name_or_path), start, tell)
         return _own_way(load_world(fields), start)
     except BadWorld as error:
         raise BadWorld(f"world {name_or_path!r}: {error}") from error
@@ -53,9 +56,9 @@ def _own_way(world: World, start: Point | None) -> World:
     return world
 
 
-def _world_of_map(path: Path, start: Point | None) -> World:
+def _world_of_map(path: Path, start: Point | None, tell: Callable[[str], None]) -> World:
     # Here, because what reads pictures and finds ways loads slowly, and other worlds need none of it.
     from ogm_core.files.ros_map_reader import read_ros_map
     from ogm_core.simulation.ros_map_world import world_of_map
 
-    return world_of_map(read_ros_map(path), path.stem, start)
+    return world_of_map(read_ros_map(path, tell), path.stem, start)

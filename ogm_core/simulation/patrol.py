@@ -45,13 +45,15 @@ Indices = NDArray[np.intp]
 Cell = tuple[int, int]
 
 
-def patrol(free: Mask, lattice: Lattice, start: Point | None = None) -> WaypointPath:
+def patrol(
+    free: Mask, lattice: Lattice, start: Point | None = None, *, home: Point = (0.0, 0.0)
+) -> WaypointPath:
     """A closed tour of one connected region of `free`, shape (h, w), [iy, ix].
 
     The region is the one that holds `start`, a point in m, beside which the tour then begins. Without a start
-    it is the one that holds (0, 0), where most robots begin their maps; else the largest that does not touch
-    the map's border, so that what lies around a building is not taken for its inside; else the largest. One
-    that is too small to drive in is passed over.
+    it is the one that holds `home`: most robots begin their maps at (0, 0); else the largest that does not
+    touch the map's border, so that what lies around a building is not taken for its inside; else the largest.
+    One that is too small to drive in is passed over.
 
     It keeps 0.3 m clear of all other cells, less if that leaves no room to drive, and never leaves the
     region. Parts of the region behind passages that are too narrow are not visited.
@@ -68,7 +70,7 @@ def patrol(free: Mask, lattice: Lattice, start: Point | None = None) -> Waypoint
         if path is None:
             raise BadWorld(f"start: the free space there {_TOO_SMALL}")
         return path
-    for number in _parts_in_turn(parts, lattice):
+    for number in _parts_in_turn(parts, lattice, home):
         path = _tour(parts == number, lattice, None)
         if path is not None:
             return path
@@ -111,9 +113,9 @@ def _free_cell(parts: Indices, lattice: Lattice, start: Point) -> Cell:
     return iy, ix
 
 
-def _parts_in_turn(parts: Indices, lattice: Lattice) -> Iterator[int]:
+def _parts_in_turn(parts: Indices, lattice: Lattice, home: Point) -> Iterator[int]:
     """The numbers of the parts, from 1, that are tried one after the other where no start is given."""
-    ix, iy = lattice.cell_of(0.0, 0.0)
+    ix, iy = lattice.cell_of(*home)
     if 0 <= iy < parts.shape[0] and 0 <= ix < parts.shape[1] and parts[iy, ix]:
         yield int(parts[iy, ix])
     sizes = np.bincount(parts.ravel())

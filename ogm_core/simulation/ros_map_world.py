@@ -1,5 +1,7 @@
 """A ROS map as a simulated world: its occupied cells stand in it, its free cells are driven through."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,7 +9,7 @@ from ogm_core.errors import BadWorld
 from ogm_core.files.ros_map_reader import RosMap
 from ogm_core.lattice import Lattice
 from ogm_core.simulation.patrol import cells_of_block, patrol
-from ogm_core.simulation.trajectories import Point
+from ogm_core.simulation.trajectories import Point, WaypointPath
 from ogm_core.simulation.worlds import MAX_COORDINATE, World
 
 MAX_CELLS = 25_000_000
@@ -18,7 +20,8 @@ MAX_BLOCKS = 1_000_000
 def world_of_map(ros_map: RosMap, name: str, start: Point | None = None) -> World:
     """The world whose obstacles are the outlines of the map's occupied cells, with a tour of its free space.
 
-    `start`, m, says in which part of that, and beside which point the tour begins: see `patrol`.
+    `start`, m, says in which part of that, and beside which point the tour begins: see `patrol`. All of it is
+    turned as the map is.
 
     Raises:
         BadWorld: there is nothing to see, no room to drive, or none at the start; or the map is too large.
@@ -29,13 +32,40 @@ def world_of_map(ros_map: RosMap, name: str, start: Point | None = None) -> Worl
         raise BadWorld(
             f"{width} x {height} cells are more than the {limit} that can be simulated: cut the map"
         )
-    corners = (*ros_map.origin, *ros_map.lattice.corner_of(width, height))
-    if max(map(abs, corners)) > MAX_COORDINATE:
+    # A turned map is drawn up from (0, 0), and then turned about that corner and moved to its place.
+    lattice = Lattice(ros_map.resolution) if ros_map.yaw else ros_map.lattice
+    corners = [lattice.corner_of(ix, iy) for ix in (0, width) for iy in (0, height)]
+    if np.abs(_placed(np.array(corners), ros_map)).max() > MAX_COORDINATE:
         raise BadWorld(f"the map reaches farther than {MAX_COORDINATE:g} m from (0, 0): move its origin")
-    segments = outlines(ros_map.occupied, ros_map.lattice)
+    segments = outlines(ros_map.occupied, lattice)
     if not len(segments):
         raise BadWorld("the map has no occupied cell: there is nothing for a LiDAR to see")
-    return World(name, np.empty((0, 3)), segments, patrol(ros_map.free, ros_map.lattice, start))
+    home = _on_the_map((0.0, 0.0), ros_map)
+    path = patrol(ros_map.free, lattice, start and _on_the_map(start, ros_map), home=home)
+    if ros_map.yaw:
+        segments = _placed(segments.reshape(-1, 2), ros_map).reshape(-1, 4)
+        segments.setflags(write=False)
+        points = _placed(np.array(path.points), ros_map).tolist()
+        path = WaypointPath(tuple((x, y) for x, y in points), path.spacing)
+    return World(name, np.empty((0, 3)), segments, path)
+
+
+def _placed(points: NDArray[np.float64], ros_map: RosMap) -> NDArray[np.float64]:
+    """Points, m, shape (n, 2), on a map's lattice, in the world; on that of a turned map from its corner."""
+    if not ros_map.yaw:
+        return points
+    c, s = math.cos(ros_map.yaw), math.sin(ros_map.yaw)
+    turned: NDArray[np.float64] = points @ np.array([[c, s], [-s, c]]) + ros_map.origin
+    return turned
+
+
+def _on_the_map(point: Point, ros_map: RosMap) -> Point:
+    """The inverse of `_placed`, of one point in the world."""
+    if not ros_map.yaw:
+        return point
+    c, s = math.cos(ros_map.yaw), math.sin(ros_map.yaw)
+    dx, dy = point[0] - ros_map.origin[0], point[1] - ros_map.origin[1]
+    return c * dx + s * dy, c * dy - s * dx
 
 
 def outlines(occupied: NDArray[np.bool_], lattice: Lattice) -> NDArray[np.float64]:

@@ -15,11 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ogm_core.errors import BadWorld
-from ogm_core.files.strict_yaml import parse_yaml, shown
+from ogm_core.files.strict_yaml import dump_yaml, parse_yaml, shown
 from ogm_core.lattice import Region
 from ogm_core.simulation.trajectories import CirclePath, WaypointPath
 
@@ -105,8 +104,7 @@ def dump_world(world: World) -> str:
         "walls": world.segments.tolist(),
         "path": path,
     }
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    return str(yaml.dump(fields, Dumper=dumper, sort_keys=False, default_flow_style=None))
+    return dump_yaml(fields)
 
 
 def fields_of(text: str) -> Mapping[str, object]:
@@ -165,9 +163,7 @@ def _numbers(values: object, form: str, where: str) -> tuple[float, ...]:
 
 def _number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        # YAML 1.1 wants a point and a sign in a number with an exponent.
-        hint = " (write 1e3 as 1.0e+3)" if isinstance(value, str) and "e" in value.lower() else ""
-        raise BadWorld(f"{where}: a number is needed, got {shown(value)}{hint}")
+        raise BadWorld(f"{where}: a number is needed, got {shown(value)}")
     if not abs(value) <= MAX_COORDINATE:
         raise BadWorld(
             f"{where}: a finite number of at most {MAX_COORDINATE:g} m is needed, got {shown(value)}"

@@ -194,9 +194,7 @@ def simulate(
     radians = None if fov is None else math.radians(fov)
     lidar = (beams, radians, range_max, noise)
     begin = _point("--start", start)
-    options = SimulatorOptions(
-        world, robots, rate, seed, *lidar, scans, begin, robot_prefix, connect_timeout
-    )
+    options = SimulatorOptions(world, robots, rate, seed, *lidar, scans, begin, robot_prefix, connect_timeout)
     settings = settings_from(config, network)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")

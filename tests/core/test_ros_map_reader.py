@@ -1,6 +1,7 @@
 """Maps in nav2's format; the values of cells are checked against a slow twin of nav2_map_server."""
 
 import io
+import math
 import os
 import struct
 import sys
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from ogm_core.errors import BadMapFile
-from ogm_core.files import ros_map_reader
+from ogm_core.files import grey_pictures, ros_map_reader
 from ogm_core.files.ros_map_reader import read_ros_map
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 
@@ -60,19 +61,20 @@ def png_header(width, height, *, bits=8, colour=0):
 
 
 def naive_occupancy(grey, mode, negate, occupied_thresh, free_thresh):
-    """One pixel, step by step as loadMapFromFile of nav2's map_io.cpp goes."""
-    shade = float(grey) / 255.0
-    occ = shade if negate else 1.0 - shade
+    """One pixel, step by step as loadMapFromFile of nav2's map_io.cpp goes, in floats of C++."""
     if mode == "raw":
-        percent = round(shade * 255)
-        return percent if 0 <= percent <= 100 else -1
-    if occupied_thresh < occ:
-        return 100
-    if occ < free_thresh:
+        return grey if grey <= 100 else -1
+    one = np.float32(1.0)
+    shade = np.float32(grey) / np.float32(255.0)
+    occ = shade if negate else one - shade
+    if occ <= np.float32(free_thresh):
         return 0
+    if occ >= np.float32(occupied_thresh):
+        return 100
     if mode == "trinary":
         return -1
-    return round((occ - free_thresh) / (occupied_thresh - free_thresh) * 100.0)
+    share = (occ - np.float32(free_thresh)) / np.float32(occupied_thresh - free_thresh) * np.float32(100.0)
+    return math.floor(float(share) + 0.5)
 
 
 @pytest.mark.parametrize("thresholds", [(0.65, 0.196), (0.65, 0.25), (1.0, 0.0), (0.5, 0.2), (0.9, 0.1)])
@@ -86,16 +88,30 @@ def test_every_grey_gets_the_value_that_nav2_gives_it(write, mode, negate, thres
 
 
 def test_values_at_the_thresholds():
-    """Spot checks that need no twin: 205 is unknown to nav2's own 0.196; a threshold itself is not passed."""
+    """Spot checks that need no twin: 205 is unknown to nav2's own 0.196; a threshold itself counts."""
     table = ros_map_reader._occupancy_table
     trinary = table({"negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196})
     assert [int(trinary[grey]) for grey in (0, 89, 90, 205, 206, 254, 255)] == [100, 100, -1, -1, 0, 0, 0]
-    strict = table({"negate": 0, "occupied_thresh": 1.0, "free_thresh": 0.0})
-    assert set(strict.tolist()) == {-1}, "occupied is above its threshold, free below"
+    ends = table({"negate": 0, "occupied_thresh": 1.0, "free_thresh": 0.0})
+    assert [int(ends[grey]) for grey in (0, 1, 254, 255)] == [100, -1, -1, 0]
     scale = table({"mode": "scale", "negate": 0, "occupied_thresh": 1.0, "free_thresh": 0.0})
     assert [int(scale[grey]) for grey in (0, 127, 191, 254, 255)] == [100, 50, 25, 0, 0]
     raw = table({"mode": "raw", "negate": 1, "occupied_thresh": 0.65, "free_thresh": 0.196})
     assert [int(raw[grey]) for grey in (0, 1, 99, 100, 101, 255)] == [0, 1, 99, 100, -1, -1]
+
+
+@pytest.mark.parametrize(
+    ("grey", "negate", "thresholds", "value"),
+    [
+        (102, 0, (0.6, 0.2), 100),  # the door of a map: 1 - 102 / 255 is its threshold of 0.6
+        (51, 1, (0.65, 0.2), 0),
+        (153, 0, (0.4, 0.196), -1),  # 1 - 153 / 255 is 0.4 in float64, and less in float32
+    ],
+)
+def test_a_grey_at_a_threshold_is_decided_in_float32(write, grey, negate, thresholds, value):
+    picture = write_pgm(np.array([[grey]], np.uint8))
+    path = write(picture, negate=negate, occupied_thresh=thresholds[0], free_thresh=thresholds[1])
+    assert read_ros_map(path).occupancy.tolist() == [[value]]
 
 
 def test_a_map_lies_where_its_file_says(write):
@@ -130,13 +146,47 @@ def test_what_is_written_is_read(tmp_path):
         png(EVERY_GREY, interlace=1),
         png(np.repeat(EVERY_GREY[..., None], 3, axis=2)),
         b"P5 # made by hand\n# CREATOR: someone\n32\n8\n255\n" + EVERY_GREY.tobytes(),
+        PGM + b"\n",
+        PGM + b"\r\n",
+        b"P2\n# CREATOR: GIMP\n32 8\n255\n" + "\n".join(map(str, range(256))).encode() + b"\n",
+        b"P2 32 8 255 " + " ".join(map(str, range(256))).encode(),
     ],
-    ids=["grey PNG", "interlaced", "RGB without colours", "PGM with comments"],
+    ids=[
+        *("grey PNG", "interlaced", "RGB without colours", "PGM with comments", "trailing newline"),
+        *("trailing CR and newline", "PGM as text", "PGM as text, one line"),
+    ],
 )
 def test_pictures_that_are_grey_are_read(write, picture):
     path = write(picture, mode="raw")
     expected = np.where(EVERY_GREY <= 100, EVERY_GREY.astype(int), -1)[::-1]
     assert np.array_equal(read_ros_map(path).occupancy, expected)
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+def test_what_is_transparent_is_unknown(write, mode):
+    """In any degree; of what is opaque the grey counts. Mode raw takes greys as they are."""
+    greys, alpha = (np.array([row], np.uint8) for row in ([0, 0, 0, 254, 254], [255, 254, 0, 255, 128]))
+    expected = [[0, 0, 0, -1, -1]] if mode == "raw" else [[100, -1, -1, 0, -1]]
+    pictures = [png(np.dstack([greys, alpha])), png(np.dstack([greys, greys, greys, alpha]))]
+    if mode != "raw":
+        red = greys + np.where(alpha < 255, 9, 0).astype(np.uint8)  # nobody sees these colours
+        pictures.append(png(np.dstack([red, greys, greys, alpha])))
+    for picture in pictures:
+        assert read_ros_map(write(picture, mode=mode)).occupancy.tolist() == expected
+    opaque = png(np.dstack([EVERY_GREY] * 3 + [np.full_like(EVERY_GREY, 255)]))
+    expected = read_ros_map(write(mode=mode)).occupancy
+    assert np.array_equal(read_ros_map(write(opaque, mode=mode)).occupancy, expected)
+
+
+def test_a_grey_or_an_entry_of_a_palette_may_be_transparent(write):
+    two = np.array([[0, 254, 254]], np.uint8)
+    for picture in (png(two, transparency=0), png(np.dstack([two] * 3), transparency=(0, 0, 0))):
+        assert read_ros_map(write(picture)).occupancy.tolist() == [[-1, 0, 0]]
+    palette = Image.fromarray(np.array([[0, 1, 1]], np.uint8), "P")
+    palette.putpalette([0, 0, 0, 254, 254, 254])
+    file = io.BytesIO()
+    palette.save(file, "PNG", transparency=0)
+    assert read_ros_map(write(file.getvalue())).occupancy.tolist() == [[-1, 0, 0]]
 
 
 def test_a_png_of_two_greys_or_a_grey_palette_is_read(write):
@@ -156,6 +206,13 @@ def test_a_png_of_two_greys_or_a_grey_palette_is_read(write):
         ({"resolution": "1"}, "resolution", 1.0),
         ({"origin": "[-1e-05, 1.5E3, 0]"}, "origin", (-1e-05, 1500.0)),
         ({"origin": "[2, 3, -0.0]"}, "origin", (2.0, 3.0)),
+        ({"origin": "[-012, 010, 0]"}, "origin", (-12.0, 10.0)),  # YAML 1.1 has these for octal: -10, 8
+        ({"origin": "[08, 1e1, 0]"}, "origin", (8.0, 10.0)),
+        ({"origin": "['-012', \"1.5\", '0']"}, "origin", (-12.0, 1.5)),
+        ({"resolution": "'0.1'"}, "resolution", 0.1),
+        ({"resolution": "+.25"}, "resolution", 0.25),
+        ({"origin": "[2, 3, 0.1]"}, "yaw", 0.1),
+        ({"origin": "[2, 3, -3.14]"}, "yaw", -3.14),
     ],
 )
 def test_numbers_are_read_as_nav2_reads_them(write, changes, key, value):
@@ -164,8 +221,14 @@ def test_numbers_are_read_as_nav2_reads_them(write, changes, key, value):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"mode": None}, {"mode": "Trinary"}, {"negate": "false"}, {"cost_scaling": "[1, 2]"}],
-    ids=["no mode", "capital", "negate as a word", "another program's key"],
+    [
+        {"mode": None},
+        {"mode": "Trinary"},
+        {"negate": "false"},
+        {"negate": "'0'", "occupied_thresh": "'0.65'", "free_thresh": '"0.196"', "mode": "'trinary'"},
+        {"cost_scaling": "[1, 2]", "width": "12.5", "height": "wide"},
+    ],
+    ids=["no mode", "capital", "negate as a word", "quoted", "another program's keys"],
 )
 def test_what_nav2_takes_is_taken(write, changes):
     expected = read_ros_map(write()).occupancy
@@ -197,7 +260,7 @@ def refusal(path):
         ({"image": "''"}, "image: the name of the map's picture is needed"),
         ({"image": "other.pgm"}, "image: there is no file 'other.pgm' in "),
         ({"image": "."}, "image: there is no file '.' in "),
-        ({"image": '"nul\\0byte"'}, "image: 'nul\\x00byte' is not a file that can be read"),
+        ({"image": '"nul\\0byte"'}, "image: "),
         ({"image": "x" * 5000}, "image: "),
         ({"mode": "quaternary"}, "mode: one of trinary, scale, raw is needed, got 'quaternary'"),
         ({"mode": "1"}, "mode: one of trinary, scale, raw is needed, got 1"),
@@ -216,10 +279,8 @@ def refusal(path):
         ({"origin": "[.nan, 0, 0]"}, "origin: finite numbers"),
         ({"origin": "[0, 0, .nan]"}, "origin: finite numbers"),
         ({"origin": "[0, -1e999, 0]"}, "origin: finite numbers"),
-        (
-            {"origin": "[0, 0, 0.1]"},
-            "origin: the map is turned by 0.1 rad; turn the picture, and set yaw to 0",
-        ),
+        ({"resolution": "1:30"}, "resolution: a number is needed, got '1:30'"),  # YAML 1.1 has it for 90
+        ({"origin": "[1_0, 0, 0]"}, "origin: a number is needed, got '1_0'"),
         ({"negate": "2"}, "negate: 0 (white is free) or 1 (black is free) is needed, got 2"),
         ({"negate": "0.0"}, "negate: 0 (white is free) or 1"),
         ({"occupied_thresh": "high"}, "occupied_thresh: a number is needed, got 'high'"),
@@ -262,16 +323,44 @@ def test_a_file_that_is_no_description_is_refused(tmp_path, content, says):
 @pytest.mark.parametrize(
     "image", ["../map.pgm", "{up}/map.pgm", "link.pgm", "folder/map.pgm", "a/../../map.pgm"]
 )
-def test_a_picture_outside_the_folder_is_not_read(tmp_path, image):
+def test_a_picture_is_read_where_the_description_says(tmp_path, image):
+    """As map_server does: by an absolute path, out of the folder, through symbolic links."""
     inside = tmp_path / "maps"
-    inside.mkdir()
-    (inside / "a").mkdir()
+    (inside / "a").mkdir(parents=True)
     (tmp_path / "map.pgm").write_bytes(write_pgm(EVERY_GREY))
+    (inside / "map.pgm").write_bytes(b"not this one")
     (inside / "link.pgm").symlink_to(tmp_path / "map.pgm")
     (inside / "folder").symlink_to(tmp_path)
     path = inside / "map.yaml"
     path.write_text(write_yaml(image.format(up=tmp_path), 0.05, (0.0, 0.0)))
-    assert "leads out of the folder" in refusal(path)
+    told = []
+    assert read_ros_map(path, told.append).occupancy.shape == (8, 32)
+    (tmp_path / "map.yaml").symlink_to(path)
+    if not image.startswith(("..", "a/..", "link", "folder")):
+        assert read_ros_map(tmp_path / "map.yaml", told.append).occupancy.shape == (8, 32)
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        "/home/someone/maps/map.pgm",
+        "../elsewhere/map.pgm",
+        "file/map.pgm",
+        "C:\\maps\\map.pgm",
+    ],
+)
+def test_a_picture_that_is_not_where_the_description_says_is_taken_from_beside_it(tmp_path, image):
+    (tmp_path / "map.pgm").write_bytes(write_pgm(EVERY_GREY))
+    (tmp_path / "file").write_bytes(b"")
+    path = tmp_path / "map.yaml"
+    path.write_text(write_yaml(image, 0.05, (0.0, 0.0)))
+    told = []
+    assert read_ros_map(path, told.append).occupancy.shape == (8, 32)
+    (line,) = told
+    assert line == f"{path}: image: there is no file {image!r}, so {tmp_path / 'map.pgm'} is taken"
+    (tmp_path / "map.pgm").unlink()
+    assert refusal(path) == f"image: there is no file {image!r} in {tmp_path}: put the map's picture there"
 
 
 @pytest.mark.parametrize("image", ["floor/map.pgm", "{here}/floor/map.pgm", "floor/../floor/map.pgm"])
@@ -291,8 +380,7 @@ def test_a_pipe_is_not_waited_for(write, tmp_path):
 
 
 GREY = EVERY_GREY[:2, :3].copy()
-ALPHA = "map.pgm has an alpha channel"
-NO_PGM = "map.pgm is not a binary PGM (P5) with 255 for white: save it as 8-bit grey PNG or binary PGM (P5)"
+NO_PGM = "map.pgm is not a PGM (P5 or P2) with 255 for white: save it as 8-bit grey PNG or PGM (P5)"
 
 
 @pytest.mark.parametrize(
@@ -310,7 +398,11 @@ NO_PGM = "map.pgm is not a binary PGM (P5) with 255 for white: save it as 8-bit 
         (b"P5\n3 2\n65535\n" + bytes(12), NO_PGM),
         (b"P5\n3 2\n256\n" + bytes(12), NO_PGM),
         (b"P5\n3 2\n100\n123456", NO_PGM),
-        (b"P2\n3 2\n255\n1 2 3 4 5 6\n", NO_PGM),
+        (b"P5\n3 2\n255\n123456\n7", "map.pgm says 3 x 2 pixels, but 8 bytes follow"),
+        (b"P2\n3 2\n15\n1 2 3 4 5 6\n", NO_PGM),
+        (b"P2\n3 2\n255\n1 2 3 4 5\n", "map.pgm cannot be read"),
+        (b"P2\n3 2\n255\n1 2 3 4 5 256\n", "map.pgm cannot be read"),
+        (b"P2\n3 2\n255\n1 2 3 4 5 x\n", "map.pgm cannot be read"),
         (b"P6\n1 2\n255\n123456", NO_PGM),
         (b"P4\n3 2\n12", NO_PGM),
         (b"P5\n10001 10000\n255\n", "map.pgm has more than 1e+08 pixels: cut it"),
@@ -322,11 +414,8 @@ NO_PGM = "map.pgm is not a binary PGM (P5) with 255 for white: save it as 8-bit 
         (png_header(5, 5) + chunk(b"IDAT", b"no zlib stream"), "map.pgm cannot be read"),
         (png(GREY)[:-30], "map.pgm cannot be read"),
         (png(GREY)[:45], "map.pgm cannot be read"),
-        (png(np.dstack([GREY, GREY])), ALPHA),
-        (png(np.dstack([GREY] * 4)), ALPHA),
-        (png(GREY, transparency=0), ALPHA),
-        (png(np.dstack([GREY] * 3), transparency=(1, 2, 3)), ALPHA),
         (png(np.dstack([GREY, GREY, GREY + 1])), "map.pgm has colours, on whose meaning readers disagree"),
+        (png(np.dstack([GREY, GREY, GREY + 1, GREY | 255])), "map.pgm has colours"),
         (png(GREY.astype(np.uint16)), "map.pgm has more than 8 bits a pixel"),
         (
             png_header(1, 1, bits=16, colour=2)
@@ -347,21 +436,48 @@ def test_a_jpeg_is_refused(write):
     assert refusal(write(file.getvalue())).startswith("image: map.pgm cannot be read as PGM or PNG")
 
 
-def test_a_palette_with_colours_or_with_transparency_is_refused(write):
+def test_a_palette_with_colours_is_refused(write):
     picture = Image.fromarray(np.array([[0, 1]], np.uint8), "P")
     picture.putpalette([0, 0, 0, 254, 0, 254])
-    for options, says in (({}, "has colours"), ({"transparency": 1}, "has an alpha channel")):
-        file = io.BytesIO()
-        picture.save(file, "PNG", **options)
-        assert says in refusal(write(file.getvalue()))
+    file = io.BytesIO()
+    picture.save(file, "PNG")
+    assert "has colours" in refusal(write(file.getvalue()))
+
+
+def test_colours_that_are_transparent_matter_where_greys_are_taken_as_they_are(write):
+    picture = png(np.dstack([GREY, GREY, GREY + 1, GREY * 0]))
+    assert (read_ros_map(write(picture)).occupancy == -1).all()
+    assert "has colours" in refusal(write(picture, mode="raw"))
+
+
+def test_a_description_knows_its_own_picture(write):
+    """Width, height and CRC-32, as this project writes them; another picture would be placed wrongly."""
+    seal = {"width": 32, "height": 8, "crc32": zlib.crc32(PGM)}
+    expected = read_ros_map(write()).occupancy
+    assert np.array_equal(read_ros_map(write(**seal)).occupancy, expected)
+    other = write_pgm(EVERY_GREY[::-1])
+    for picture, changes, key in (
+        (other, {}, "crc32"),
+        (PGM, {"width": 31}, "width"),
+        (PGM, {"height": 9}, "height"),
+        (write_pgm(EVERY_GREY[1:]), {}, "height"),
+        (PGM + b"\n", {}, "crc32"),
+    ):
+        text = refusal(write(picture, **{**seal, **changes}))
+        assert text.startswith(f"image: map.pgm is not the picture that this file was written with ({key} ")
+        assert "read them again" in text
+        assert "remove the line crc32" in text
+    assert read_ros_map(write(other, width=31, height=8)).occupancy.shape == (8, 32), "another program's keys"
+    assert refusal(write(crc32="new")) == "width: a number is needed, got nothing"
+    assert refusal(write(**{**seal, "crc32": "new"})) == "crc32: a number is needed, got 'new'"
 
 
 def test_pictures_as_large_as_allowed_are_read_without_a_warning(write, monkeypatch):
     """Pillow warns above its own limit, and refuses above twice that; the limit here lies between."""
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200)
-    monkeypatch.setattr(ros_map_reader, "MAX_PIXELS", 256)
+    monkeypatch.setattr(grey_pictures, "MAX_PIXELS", 256)
     assert read_ros_map(write()).occupancy.size == 256
-    monkeypatch.setattr(ros_map_reader, "MAX_PIXELS", 255)
+    monkeypatch.setattr(grey_pictures, "MAX_PIXELS", 255)
     assert "pixels" in refusal(write())
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     assert "pixels" in refusal(write())
@@ -404,3 +520,20 @@ def test_maps_of_the_field(ros_maps):
     }
     warehouse = read_ros_map(ros_maps / "warehouse.yaml")
     assert (warehouse.resolution, warehouse.origin) == (0.03, (-15.1, -25.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "free_from", "origin", "yaw"),
+    [
+        ("f1_gbr", 204, (-50.0, -50.0), 0.0),  # its free_thresh is 0.2, which is grey 204
+        ("izs-carpark-top", 206, (0.0, 0.0), 0.0),
+        ("stata_basement", 206, (25.9, 48.5), 3.14),
+    ],
+)
+def test_a_race_track_an_alpha_channel_and_a_map_that_is_turned(datasets, name, free_from, origin, yaw):
+    ros_map = read_ros_map(datasets / "maps" / f"{name}.yaml")
+    with Image.open(datasets / "maps" / f"{name}.png") as picture:
+        greys = np.asarray(picture.convert("L"))[::-1]
+    assert np.array_equal(ros_map.occupied, greys <= 89)
+    assert np.array_equal(ros_map.free, greys >= free_from)
+    assert (ros_map.origin, ros_map.yaw) == (origin, yaw)

@@ -1,5 +1,6 @@
 """Maps as worlds: outlines of what is occupied, and what a simulated robot makes of them."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -23,11 +24,11 @@ LATTICE = Lattice(0.1, (-1.3, 2.7))
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 
 
-def write_map(folder, greys, resolution=0.05, origin=(0.0, 0.0)):
+def write_map(folder, greys, resolution=0.05, origin=(0.0, 0.0), yaw=0.0):
     """map.yaml and map.pgm of greys, row 0 south; returns the path."""
     (folder / "map.pgm").write_bytes(write_pgm(np.asarray(greys, np.uint8)[::-1]))
     path = folder / "map.yaml"
-    path.write_text(write_yaml("map.pgm", resolution, origin))
+    path.write_text(write_yaml("map.pgm", resolution, origin).replace(", 0.0]", f", {yaw!r}]"))
     return path
 
 
@@ -126,6 +127,57 @@ def test_a_map_file_is_a_world(tmp_path):
     assert found == pytest.approx([4.0, 3.0, 2.0, 1.0])
     pillar = true_ranges(world, Pose(-1.0, -0.3, 0.0), sensor)
     assert pillar == pytest.approx([2.0, 1.7, 0.5, 2.3])
+
+
+@pytest.mark.parametrize("yaw", [0.3, math.pi / 2, -2.0, 3.14])
+def test_a_map_that_is_turned_is_a_world_that_is_turned(tmp_path, yaw):
+    """About its lower-left corner, counter-clockwise: what is seen there is what is seen before."""
+    straight = world_named(str(write_map(tmp_path, hall(), origin=(-3.5, -2.5))))
+    turned = world_named(str(write_map(tmp_path, hall(), origin=(-3.5, -2.5), yaw=yaw)))
+    sensor = Lidar(beams=64, range_max=20.0)
+
+    def there(pose):
+        dx, dy = pose.x + 3.5, pose.y + 2.5
+        x = -3.5 + dx * math.cos(yaw) - dy * math.sin(yaw)
+        return Pose(x, -2.5 + dx * math.sin(yaw) + dy * math.cos(yaw), pose.theta + yaw)
+
+    for pose in (Pose(1.0, 1.0, 0.0), Pose(-1.0, -0.3, 0.0), Pose(-2.0, 1.2, 1.0)):
+        assert true_ranges(turned, there(pose), sensor) == pytest.approx(true_ranges(straight, pose, sensor))
+    assert turned.path.count == straight.path.count
+    for i in range(0, turned.path.count, 7):
+        assert turned.path.pose(i)[:2] == pytest.approx(there(straight.path.pose(i))[:2])
+    assert not turned.segments.flags.writeable
+    path = str(write_map(tmp_path, hall(), origin=(-3.5, -2.5), yaw=yaw))
+    begun = world_named(path, there(Pose(-2.0, 1.2, 0.0))[:2])
+    path = str(write_map(tmp_path, hall(), origin=(-3.5, -2.5)))
+    begun_straight = world_named(path, (-2.0, 1.2))
+    assert begun.path.pose(0)[:2] == pytest.approx(there(begun_straight.path.pose(0))[:2])
+
+
+def test_a_turned_map_of_the_field_is_a_world(datasets):
+    path = datasets / "maps" / "stata_basement.yaml"
+    ros_map, world = read_ros_map(path), world_named(str(path))
+    assert ros_map.yaw == 3.14
+    iy, ix = np.argwhere(ros_map.occupied)[1234].tolist()
+    u, v = ix * ros_map.resolution, iy * ros_map.resolution
+    corner = (
+        25.9 + u * math.cos(3.14) - v * math.sin(3.14),
+        48.5 + u * math.sin(3.14) + v * math.cos(3.14),
+    )
+    starts, ends = world.segments[:, :2], world.segments[:, 2:]
+    along, to = ends - starts, np.array(corner) - starts
+    share = np.clip((along * to).sum(axis=1) / (along**2).sum(axis=1), 0.0, 1.0)
+    assert np.hypot(*(to - along * share[:, None]).T).min() < 1.5 * ros_map.resolution
+
+
+def test_where_the_picture_was_found_is_told(tmp_path):
+    path = write_map(tmp_path, hall())
+    path.write_text(path.read_text().replace('"map.pgm"', "/home/someone/map.pgm"))
+    told = []
+    world_named(str(path), tell=told.append)
+    assert told == [
+        f"{path}: image: there is no file '/home/someone/map.pgm', so {tmp_path / 'map.pgm'} is taken"
+    ]
 
 
 def test_its_robot_stays_in_the_hall(tmp_path):

@@ -164,6 +164,42 @@ def test_a_resolution_that_was_given_must_be_that_of_the_file(map_file, tmp_path
     )
 
 
+@pytest.mark.parametrize(("given", "taken"), [(0.1 * (1 + 9e-7), True), (0.1 * (1 + 1.1e-6), False)])
+def test_resolutions_that_differ_by_rounding_are_one(map_file, given, taken):
+    chosen = settings_with(map_file, map={"resolution": given})
+    if taken:
+        assert started_grid(chosen, "").lattice.resolution == 0.1
+    else:
+        with pytest.raises(BadSetting, match=r"but the cells of mapper\.start_map"):
+            started_grid(chosen, "")
+
+
+@pytest.mark.parametrize(
+    ("yaw", "degrees", "origin"),
+    [
+        ("0.1", "5.72958", (-1.05 - 0.3 * math.sin(0.1), 2.0)),
+        ("3.14159265358979", "180", (-1.45, 1.7)),
+        ("-1.5707963267949", "-90", (-1.05, 1.6)),
+    ],
+)
+def test_a_map_that_is_turned_is_refused_and_how_to_turn_it_is_told(map_file, yaw, degrees, origin):
+    """The new origin is the lower-left corner of what is around the turned map of 0.4 x 0.3 m."""
+    map_file.write_text(map_file.read_text().replace("2.0, 0.0]", f"2.0, {yaw}]"))
+    x, y = (f"{value:.6g}" for value in origin)
+    with pytest.raises(BadMapFile) as caught:
+        started_grid(settings_with(map_file), "")
+    text = str(caught.value)
+    assert text.startswith(f"{map_file}: origin: the map is turned by ")
+    assert f"turn its picture counter-clockwise by {degrees} degrees" in text
+    assert text.endswith(f"and set origin to [{x}, {y}, 0]")
+
+
+def test_where_the_picture_was_found_is_told(map_file, caplog):
+    map_file.write_text(map_file.read_text().replace('"floor.pgm"', "/home/someone/floor.pgm"))
+    assert not started_grid(settings_with(map_file), "").snapshot().empty
+    assert "there is no file '/home/someone/floor.pgm', so" in caplog.text
+
+
 def test_what_was_not_given_stays_so_in_a_settings_file(map_file, tmp_path):
     config = tmp_path / "ogm.yaml"
     config.write_text(settings_with(map_file, map={"alpha": 0.2}).to_yaml())

@@ -7,6 +7,7 @@ is too large for that.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def run_build(
         MapEmpty: no scan changed the map; nothing is written.
     """
     max_beams = settings.mapper.max_beams
-    true_world = None if world is None else world_named(world)
+    true_world = None if world is None else world_named(world, tell=partial(typer.echo, err=True))
     check_place(out)
     if figure is not None:
         check_figure(figure, out)

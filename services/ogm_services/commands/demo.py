@@ -55,7 +55,7 @@ def run_demo(
         BadWorld: there is no such world.
         DemoFailed: the mapper or the simulator failed.
     """
-    world_named(world, start)
+    world_named(world, start)  # whatever there is to tell of it, the simulator tells
     if out is not None:
         check_folder(out)
     with tempfile.TemporaryDirectory(prefix="ogm-demo-") as folder:

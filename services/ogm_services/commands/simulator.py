@@ -48,7 +48,7 @@ class Simulation:
     """Robots in a world: what each of them measures at each step. Equal seeds, equal measurements."""
 
     def __init__(self, options: SimulatorOptions) -> None:
-        self.world = world_named(options.world, options.start)
+        self.world = world_named(options.world, options.start, tell=log.warning)
         lab = Lidar.lab()
         self.lidar = Lidar(
             beams=lab.beams if options.beams is None else options.beams,

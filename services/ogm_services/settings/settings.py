@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Self, assert_never
 
-import yaml
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -17,6 +16,7 @@ from pydantic import (
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.cells.model import CellModel
 from ogm_core.errors import BadSetting
+from ogm_core.files.strict_yaml import dump_yaml
 from ogm_core.grid_settings import (
     DEFAULT_MAX_BYTES,
     DEFAULT_MAX_CELLS,
@@ -200,7 +200,7 @@ class Settings(BaseModel):
 
     def to_yaml(self) -> str:
         """Every setting that was given, as a file from which `load_settings` makes equal settings."""
-        return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False)
+        return dump_yaml(self.model_dump(mode="json", exclude_unset=True))
 
 
 SECTIONS: Mapping[str, type[BaseModel]] = {

@@ -1,7 +1,10 @@
 """Initial map of a mapper: empty, or filled from a ROS map file."""
 
+import logging
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +12,16 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.cells.model import CellModel, Planes, StoredCells
-from ogm_core.errors import BadSetting, LimitReached
+from ogm_core.errors import BadMapFile, BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_services.settings.settings import Settings
 
+if TYPE_CHECKING:
+    from ogm_core.files.ros_map_reader import RosMap
+
+SAME_RESOLUTION = 1e-6
+"""Resolutions that differ by no more, relatively, are one: files round them."""
+log = logging.getLogger(__name__)
 _UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
 """Stored cells are rounded: what is undecided keeps this far away from "occupied"."""
 
@@ -32,7 +41,8 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     # Here, because what reads pictures loads slowly, and most maps start empty.
     from ogm_core.files.ros_map_reader import read_ros_map
 
-    ros_map = read_ros_map(path)
+    ros_map = read_ros_map(path, log.warning)
+    _check_not_turned(ros_map, path)
     _check_resolution(settings, ros_map.resolution, path)
     grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
     grid = OccupancyGrid(grid_settings, epoch)
@@ -43,6 +53,22 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
             f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
         ) from error
     return grid
+
+
+def _check_not_turned(ros_map: "RosMap", path: Path) -> None:
+    if not ros_map.yaw:
+        return
+    height, width = ros_map.occupancy.shape
+    c, s = math.cos(ros_map.yaw), math.sin(ros_map.yaw)
+    x, y = (
+        edge + ros_map.resolution * (min(0.0, width * along) + min(0.0, height * up))
+        for edge, along, up in zip(ros_map.origin, (c, s), (-s, c), strict=True)
+    )
+    raise BadMapFile(
+        f"{path}: origin: the map is turned by {ros_map.yaw:g} rad, and the cells of a start map lie along "
+        f"the axes: turn its picture counter-clockwise by {math.degrees(ros_map.yaw):.6g} degrees, without "
+        f"mixing greys and with 205 (unknown) around it, and set origin to [{x:.6g}, {y:.6g}, 0]"
+    )
 
 
 def _start_planes(occupancy: NDArray[np.int8], model: CellModel, confidence: float) -> Planes:
@@ -81,7 +107,9 @@ def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) 
 
 def _check_resolution(settings: Settings, resolution: float, path: Path) -> None:
     given = settings.map.resolution
-    if "resolution" in settings.map.model_fields_set and given != resolution:
+    if "resolution" in settings.map.model_fields_set and not math.isclose(
+        given, resolution, rel_tol=SAME_RESOLUTION
+    ):
         raise BadSetting(
             f"map.resolution is {given!r} m, but the cells of mapper.start_map {path} are {resolution!r} m: "
             "leave map.resolution out"
