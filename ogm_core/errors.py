@@ -13,6 +13,7 @@ OgmError
 |   +-- Stale             it lies before the robot's oldest kept pose
 |   +-- LimitReached      it would stretch the map past its limits
 |   +-- OutsideBounds     every beam leaves bounds that drop such beams
++-- DiskFull              there is no room for a file that is to be written
 +-- MapEmpty              there is no known cell to draw
 """
 
@@ -94,6 +95,12 @@ class OutsideBounds(ScanRefused):
     """Every beam that counts starts or ends outside the bounds of a map that drops such beams."""
 
     slug = "outside"
+
+
+class DiskFull(OgmError):
+    """There is no room for a file that is to be written; what was there before is still there."""
+
+    slug = "disk-full"
 
 
 class MapEmpty(OgmError):

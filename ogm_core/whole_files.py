@@ -11,6 +11,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What an OSError says of a disk that is full, a quota that is used up, a file longer than is allowed."""
 _STREAMS = re.compile(r"/dev/(stdout|stderr|fd/.*)|/proc/[^/]+/fd/.*")
 """Names of what a process has open already; it must not be replaced, even if it is a regular file."""
 

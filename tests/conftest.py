@@ -3,6 +3,7 @@
 A deadline says when to give up, never how quick something is: it holds on a machine that is ten times busy.
 """
 
+import errno
 import os
 import time
 from contextlib import ExitStack
@@ -81,3 +82,13 @@ def ros_maps(datasets):
 def intel(datasets):
     """Folder of the recorded building."""
     return datasets / "intel"
+
+
+@pytest.fixture
+def disk_full(monkeypatch):
+    """What is written does not reach the disk, which is full."""
+
+    def fsync(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", fsync)

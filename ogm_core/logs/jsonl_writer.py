@@ -11,10 +11,10 @@ from typing import IO, Any
 import numpy as np
 from isal import igzip, isal_zlib
 
-from ogm_core.errors import BadRecording
+from ogm_core.errors import BadRecording, DiskFull
 from ogm_core.logs.recorded import Recorded, RecordedPose
 from ogm_core.types import Ranges
-from ogm_core.whole_files import whole_file
+from ogm_core.whole_files import NO_ROOM, whole_file
 from ogm_core.wire.messages import scan_fields
 
 JSON_SUFFIXES = (".jsonl", ".jsonl.gz")
@@ -41,6 +41,7 @@ def write_jsonl(path: Path, messages: Iterable[Recorded]) -> None:
 
     Raises:
         BadRecording: the name does not end in .jsonl or .jsonl.gz, or the file cannot be written.
+        DiskFull: there is no room for it.
     """
     with jsonl_file(path) as write:
         for recorded in messages:
@@ -52,17 +53,24 @@ def jsonl_file(path: Path) -> Iterator[Callable[[Recorded], None]]:
     """What writes one message after the other into a log, likewise.
 
     Raises:
-        BadRecording: likewise.
+        BadRecording, DiskFull: likewise.
     """
     if not path.name.lower().endswith(JSON_SUFFIXES):
         raise BadRecording(f"{path}: recordings are written as {' or '.join(JSON_SUFFIXES)}")
     if path.is_dir():
         raise BadRecording(f"{path}: cannot be written (it is a folder)")
+    caller: BaseException | None = None
     try:
         with _written(path) as file:
-            yield lambda recorded: _write(file, recorded)
+            try:
+                yield lambda recorded: _write(file, recorded, path)
+            except BaseException as error:
+                caller = error  # the file is not to blame for it
+                raise
     except OSError as error:
-        raise BadRecording(cannot(path, "written", error)) from error
+        if error is caller:
+            raise
+        raise _failure(path, error) from error
 
 
 def cannot(path: Path, what: str, error: OSError) -> str:
@@ -70,8 +78,17 @@ def cannot(path: Path, what: str, error: OSError) -> str:
     return f"{path}: cannot be {what} ({error.strerror or error})"
 
 
-def _write(file: IO[bytes] | gzip.GzipFile, recorded: Recorded) -> None:
-    file.write(to_line(recorded).encode() + b"\n")
+def _write(file: IO[bytes] | gzip.GzipFile, recorded: Recorded, path: Path) -> None:
+    line = to_line(recorded).encode() + b"\n"
+    try:
+        file.write(line)
+    except OSError as error:
+        raise _failure(path, error) from error
+
+
+def _failure(path: Path, error: OSError) -> BadRecording | DiskFull:
+    kind = DiskFull if error.errno in NO_ROOM else BadRecording
+    return kind(cannot(path, "written", error))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import io
 import math
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from PIL import Image
 from ogm_client import MapGrid
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
-from ogm_core.errors import BadParameter, MapEmpty
+from ogm_core.errors import BadMapFile, BadParameter, MapEmpty
 from ogm_core.files.map_files import encode_npz, read_npz
+from ogm_core.files.ros_map_reader import read_ros_map
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
 
@@ -218,6 +220,34 @@ def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
         np.testing.assert_array_equal(np.asarray(image), [[205, 205], [254, 205], [205, 0]])
 
 
+def test_who_reads_while_a_map_is_saved_gets_a_pair_or_is_told(tmp_path, monkeypatch):
+    """After every step of the writing, where it may have been cut off, too: never parts of two maps."""
+    full = grid_of(np.random.default_rng(0).normal(0, 3, (40, 40)), resolution=0.1)
+    first, second = full.crop((9.8, -18, 12, -15)), full.crop((10.5, -19, 12, -16))
+    maps = {grid.origin: grid.occupancy.tolist() for grid in (first, second)}
+    path, seen = tmp_path / "hall.yaml", []
+    replace = Path.replace
+
+    def looked_at(part, target):
+        replace(part, target)
+        try:
+            ros_map = read_ros_map(path)
+        except BadMapFile as error:
+            seen.append(str(error))
+        else:
+            assert ros_map.occupancy.tolist() == maps[ros_map.origin]
+            seen.append(ros_map.origin)
+
+    first.save_ros_map(path)
+    monkeypatch.setattr(Path, "replace", looked_at)
+    for grid in (second, first):
+        seen.clear()
+        grid.save_ros_map(path)
+        between, after = seen
+        assert "hall.pgm is not the picture that this file was written with" in between
+        assert after == grid.origin
+
+
 def test_what_is_saved_is_there_whole_or_not_at_all(tmp_path):
     (tmp_path / "hall.pgm").write_bytes(b"before")
     (tmp_path / "hall.yaml").mkdir()
@@ -228,6 +258,18 @@ def test_what_is_saved_is_there_whole_or_not_at_all(tmp_path):
         with pytest.raises(IsADirectoryError):
             getattr(grid_of(), save)(tmp_path / "hall.yaml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hall.pgm", "hall.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("save", "names"),
+    [("save_png", ["hall"]), ("save_npz", ["hall"]), ("save_ros_map", ["hall.pgm", "hall.yaml"])],
+)
+def test_a_disk_that_is_full_leaves_what_was_there(tmp_path, disk_full, save, names):
+    for name in names:
+        (tmp_path / name).write_bytes(b"before")
+    with pytest.raises(OSError, match="No space left on device"):
+        getattr(grid_of(), save)(tmp_path / "hall")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == dict.fromkeys(names, b"before")
 
 
 @pytest.mark.parametrize("save", ["save_png", "save_ros_map"])

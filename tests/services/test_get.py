@@ -148,6 +148,15 @@ def test_get_refuses_bad_input(ogm, mapper, name, out, text):
     assert text in result.stderr
 
 
+def test_a_disk_that_is_full_leaves_the_old_file(ogm, mapper, tmp_path, disk_full):
+    out = tmp_path / "a.png"
+    out.write_bytes(b"before")
+    result = ogm("get", "map.png", "-o", out)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == f"ogm: -o {out}: cannot be written: No space left on device\n"
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.png", b"before")]
+
+
 def test_what_the_mapper_cannot_answer_is_a_failure_at_run_time(ogm, mapper, tmp_path):
     result = ogm("get", "map.pgm", "-o", tmp_path / "a.pgm")
     assert (result.exit_code, result.stdout) == (1, "")

@@ -1,5 +1,6 @@
 """Where compiled kernels are kept: no change of the sources meets old ones, and any install works."""
 
+import errno
 import fcntl
 import os
 import shutil
@@ -162,7 +163,11 @@ def test_what_a_power_cut_has_left_is_as_if_it_were_not_there(tmp_path, suffix, 
 
 def test_where_there_is_no_more_room_kernels_are_compiled_and_not_kept(toy, tmp_path):
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); " + AS_OGM_DOES
-    assert printed(toy(1, full, NUMBA_CACHE_DIR=str(tmp_path / "kernels"))) == ["True", "2", "0"]
+    done = ended(toy(1, full, NUMBA_CACHE_DIR=str(tmp_path / "kernels")))
+    assert (done.returncode, done.stdout.split()) == (0, ["True", "2", "0"])
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"ogm: compiled kernels cannot be kept in {tmp_path}/kernels/ogm-")
+    assert line.endswith(": File too large: they are compiled at every start")
     assert list(tmp_path.rglob("*.nbc")) == []
 
 
@@ -305,6 +310,17 @@ def test_a_folder_says_that_it_is_in_use(places):
     assert (folder / "in-use").stat().st_mtime_ns == at  # a folder that is full is only read
     with (folder / "in-use").open("a") as other:
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_a_disk_without_room_for_a_folder_that_is_given_is_told_and_no_end(places, monkeypatch, capsys):
+    monkeypatch.setenv(kernel_cache.VARIABLE, str(places / "given"))
+    fault = kernel_cache._fault
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(kernel_cache, "_fault", lambda at: full if "given" in str(at) else fault(at))
+    with kernel_cache.kernel_cache() as folder:
+        assert folder.parent.parent == places / "tmp"
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"ogm: {places}/given cannot be written: kernels are compiled at every start")
 
 
 def test_the_temporary_folder_is_private_and_gone_afterwards(places, capsys):

@@ -8,7 +8,7 @@ import pytest
 
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
-from ogm_core.errors import BadInput
+from ogm_core.errors import BadInput, DiskFull
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.results.map_folder import check_folder, check_place, write_map
@@ -38,6 +38,17 @@ def test_a_file_that_cannot_be_written_leaves_the_old_map(tmp_path, name):
         write_map(tmp_path, snapshot(), {})
     assert all((tmp_path / other).read_bytes() == b"before" for other in set(NAMES) - {name})
     assert sorted(path.name for path in tmp_path.iterdir()) == NAMES
+
+
+def test_a_disk_that_is_full_leaves_the_old_map(tmp_path, disk_full):
+    for name in NAMES:
+        (tmp_path / name).write_bytes(b"before")
+    for quality in ({}, None):
+        with pytest.raises(DiskFull, match=r"^--out .*: cannot be written: No space left on device$"):
+            write_map(tmp_path, snapshot(), quality)
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == dict.fromkeys(
+            NAMES, b"before"
+        )
 
 
 def test_files_take_their_names_one_after_the_other(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from ogm_core.errors import DiskFull
 from ogm_core.quality.figures import Consistency
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper import service as service_module
@@ -116,3 +117,12 @@ def test_who_has_asked_for_figures_does_not_hold_up_the_end(start_mapper, judges
         assert over_http.result(5.0).json()["type"] == "unavailable"
         (reply,) = over_zenoh.result(5.0)
         assert json.loads(reply.err.payload.to_bytes())["type"] == "unavailable"
+
+
+def test_a_disk_that_is_full_at_the_end_leaves_the_older_map(run, tmp_path, disk_full):
+    for name in (*MAP, "quality.json"):
+        (tmp_path / name).write_bytes(b"before")
+    with pytest.raises(DiskFull, match="No space left on device"):
+        run(Consistency.add)
+    assert all((tmp_path / name).read_bytes() == b"before" for name in (*MAP, "quality.json"))
+    assert names(tmp_path) == {*MAP, "quality.json"}

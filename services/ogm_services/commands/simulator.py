@@ -15,7 +15,7 @@ import zenoh
 from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
-from ogm_core.errors import BadRecording, OgmError
+from ogm_core.errors import BadRecording, DiskFull, OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
@@ -91,7 +91,7 @@ def record(options: SimulatorOptions, out: Path) -> None:
     """Write `options.scans` scans of each robot, with their poses, into a recording; stamps begin at 0.
 
     Raises:
-        BadRecording: the file cannot be written.
+        BadRecording, DiskFull: the file cannot be written.
         BadWorld, BadSetting: there is no such world, or no such LiDAR.
     """
     simulation = Simulation(options)
@@ -104,8 +104,8 @@ def record(options: SimulatorOptions, out: Path) -> None:
 
     try:
         write_jsonl(out, messages())
-    except BadRecording as error:
-        raise BadRecording(f"--out {error}") from error
+    except (BadRecording, DiskFull) as error:
+        raise type(error)(f"--out {error}") from error
     typer.echo(f"{out}: {options.scans} scans each of {', '.join(simulation.robots)}")
 
 

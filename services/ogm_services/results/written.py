@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm_core.errors import BadInput
+from ogm_core.errors import BadInput, DiskFull
+from ogm_core.whole_files import NO_ROOM
 
 
 @contextmanager
@@ -13,6 +14,7 @@ def written(path: Path, flag: str) -> Iterator[None]:
 
     Raises:
         BadInput: it cannot be written; the text names the flag, the path and the reason.
+        DiskFull: there is no room for it; likewise.
         BrokenPipeError: whoever reads it has had enough.
     """
     try:
@@ -20,4 +22,5 @@ def written(path: Path, flag: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise BadInput(f"{flag} {path}: cannot be written: {error.strerror or error}") from error
+        kind = DiskFull if error.errno in NO_ROOM else BadInput
+        raise kind(f"{flag} {path}: cannot be written: {error.strerror or error}") from error

@@ -28,6 +28,7 @@ import typer
 
 import ogm_core
 from ogm_core.errors import BadSetting, OgmError
+from ogm_core.whole_files import NO_ROOM
 
 VARIABLE = "NUMBA_CACHE_DIR"
 LOCATOR_VARIABLE = "NUMBA_CACHE_LOCATOR_CLASSES"
@@ -55,7 +56,7 @@ def kernel_cache() -> Iterator[Path]:
     reads from its cache it executes.
 
     Raises:
-        BadSetting: NUMBA_CACHE_DIR cannot be written.
+        BadSetting: NUMBA_CACHE_DIR cannot be written, though there is room on its disk.
         NoKernelCache: nor can any temporary folder.
     """
     given = os.environ.get(VARIABLE)
@@ -66,7 +67,7 @@ def kernel_cache() -> Iterator[Path]:
     if fault is None:
         with _in_use(folder), _numba_uses(folder):
             yield folder
-    elif given:
+    elif given and fault.errno not in NO_ROOM:
         raise BadSetting(
             f"{VARIABLE} {given}: cannot be written: {fault.strerror or fault}; give a folder for compiled "
             "kernels, or unset it"

@@ -5,26 +5,34 @@ compile one kernel for different types at once, either may later find the other'
 types, and run it. So a process writes under names that no other has; at worst, one of them compiles again.
 
 Nor does numba expect files that a power cut has left half written, or a disk that is full. What cannot be
-read is compiled again, and what cannot be written is compiled at the next start, too.
+read is compiled again, and what cannot be written is compiled at the next start, too, which is told once.
 """
 
 import os
 import secrets
-from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import typer
 from numba.core import caching, config
 
 _writers: dict[int, str] = {}
+
+
+@cache
+def _tell_once(why: str) -> None:
+    typer.echo(f"ogm: compiled kernels cannot be kept in {why}: they are compiled at every start", err=True)
 
 
 class _KernelFile(caching.IndexDataCacheFile):
     """The compiled versions of one kernel, and the list of them."""
 
     def save(self, key: Any, data: Any) -> None:  # noqa: ANN401
-        with suppress(OSError):
+        try:
             super().save(key, data)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            _tell_once(f"{config.CACHE_DIR}: {error.strerror or error}")  # type: ignore[attr-defined]
 
     def _load_index(self) -> Any:  # noqa: ANN401
         try:
