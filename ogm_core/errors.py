@@ -7,7 +7,7 @@ OgmError
 |   +-- BadSetting        a map setting contradicts itself or is out of range
 |   +-- BadRecording      a log cannot be read, or holds no scan
 |   +-- BadWorld          a simulated world's description is wrong
-|   +-- BadMapFile        a map file (YAML and picture) cannot be read, or is not one
+|   +-- BadMapFile        a map file (YAML and picture, or NPZ) cannot be read, or is not one
 +-- ScanRefused           a well-formed scan is not integrated
 |   +-- NoPose            its robot's poses do not tell where it was taken
 |   +-- Stale             it lies before the robot's oldest kept pose
@@ -62,7 +62,7 @@ class BadWorld(BadInput):
 
 
 class BadMapFile(BadInput):
-    """A ROS map file, or the picture that it names, cannot be read or is not what is needed."""
+    """A map file, or the picture that it names, cannot be read or is not what is needed."""
 
     slug = "bad-map-file"
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.model import CellModel, Planes
-from ogm_core.errors import LimitReached
+from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
@@ -52,22 +52,25 @@ class OccupancyGrid:
         """What is served: the bounds, or else the smallest rectangle that holds every known cell."""
         return self.bounds or self._known or CellRect(0, 0, 0, 0)
 
-    def begin_with(self, planes: Planes) -> None:
-        """Fill a map without bounds: its model's planes, [iy, ix], the first cell is (0, 0) of the lattice.
+    def begin_with(self, planes: Planes, offset: tuple[int, int] = (0, 0)) -> None:
+        """Fill an empty map: its model's planes, [iy, ix]; the first cell is `offset` of the lattice.
 
         The revision stays 0: it counts scans.
 
         Raises:
             LimitReached: they are more than the map may hold; no cell has changed.
+            OutsideBounds: they are not all within the map's bounds; no cell has changed.
         """
         written = CellArrays(planes, {plane.name: plane.side for plane in self.model.planes}).any_written()
         height, width = written.shape
-        rect = CellRect(0, 0, width, height)
+        rect = CellRect(*offset, width, height)
+        if self.bounds is not None and not self.bounds.contains(rect):
+            raise OutsideBounds(f"{width} x {height} cells from {offset} on are not all within the bounds")
         if rect.cells > self.settings.max_cells:
             raise LimitReached(
                 f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
             )
-        store = TileStore(rect, self.model.planes)
+        store = TileStore(self.bounds or rect, self.model.planes)
         store.write(rect, planes)
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
@@ -75,8 +78,8 @@ class OccupancyGrid:
         columns = np.flatnonzero(written.any(axis=0)).tolist()
         self._known = None
         if rows:
-            ix, iy = columns[0], rows[0]
-            self._known = CellRect(ix, iy, columns[-1] - ix + 1, rows[-1] - iy + 1)
+            size = columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1
+            self._known = CellRect(offset[0] + columns[0], offset[1] + rows[0], *size)
         self._begin_store(store)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:

@@ -17,7 +17,7 @@ from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
-from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml
+from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml, load_npz
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.whole_files import whole_file, write_files
@@ -67,6 +67,18 @@ class MapGrid:
         if log_odds is None:  # a model that keeps something else
             log_odds = np.where(snapshot.published()[1], snapshot.log_odds(), np.nan)
         return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "MapGrid":
+        """The map in a file that `save_npz`, `ogm build` or `ogm get map.npz` wrote, value for value.
+
+        The file does not name the map's state: `epoch` is "", `revision` 0, `stamp` None.
+
+        Raises:
+            BadMapFile: it cannot be read, or holds something else; the text says what is wrong.
+        """
+        npz = load_npz(Path(path))
+        return cls(npz.log_odds, npz.resolution, npz.anchor, npz.offset, epoch="", revision=0, stamp=None)
 
     @property
     def width(self) -> int:

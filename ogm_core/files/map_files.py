@@ -6,6 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
-from ogm_core.errors import BadInput, BadParameter, MapEmpty
+from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty
 from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
+from ogm_core.lattice import MAX_INDEX
 from ogm_core.pictures.png import write_png
 from ogm_core.snapshot import MapSnapshot
 
@@ -120,30 +122,44 @@ class NpzMap:
     offset: tuple[int, int]
 
 
-def read_npz(data: bytes) -> NpzMap:
+def read_npz(data: bytes, name: str = "map.npz") -> NpzMap:
     """Read what `encode_npz` wrote.
 
     Raises:
-        BadInput: it is something else, or damaged; the text says what is wrong.
+        BadInput: it is something else, or damaged; the text begins with `name` and says what is wrong.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             log_odds, resolution, anchor, offset = (
-                _read_array(archive, name) for name in ("log_odds", "resolution", "anchor", "offset")
+                _read_array(archive, array) for array in ("log_odds", "resolution", "anchor", "offset")
             )
     except _UNREADABLE as error:
-        raise BadInput(f"map.npz: not a map that can be read ({error})") from error
+        raise BadInput(f"{name}: not a map that was saved here and can be read ({error})") from error
     if log_odds.ndim != 2 or log_odds.dtype not in (np.float32, np.float64):
-        raise BadInput(f"map.npz: log_odds is {_kind(log_odds)}, rows of float32 or float64 are needed")
+        raise BadInput(f"{name}: log_odds is {_kind(log_odds)}, rows of float32 or float64 are needed")
     if resolution.shape != () or resolution.dtype != np.float64 or not 0.0 < resolution < np.inf:
-        raise BadInput(f"map.npz: resolution is {_kind(resolution)}, one positive number is needed")
+        raise BadInput(f"{name}: resolution is {_kind(resolution)}, one positive number is needed")
     if anchor.shape != (2,) or anchor.dtype != np.float64 or not np.isfinite(anchor).all():
-        raise BadInput(f"map.npz: anchor is {_kind(anchor)}, two finite numbers are needed")
-    if offset.shape != (2,) or offset.dtype != np.int64:
-        raise BadInput(f"map.npz: offset is {_kind(offset)}, two whole numbers are needed")
+        raise BadInput(f"{name}: anchor is {_kind(anchor)}, two finite numbers are needed")
+    if offset.shape != (2,) or offset.dtype != np.int64 or not (abs(offset // 2) < MAX_INDEX // 2).all():
+        raise BadInput(f"{name}: offset is {_kind(offset)}, two whole numbers are needed")
     x, y = anchor.tolist()
     ix, iy = offset.tolist()
     return NpzMap(log_odds, float(resolution), (x, y), (ix, iy))
+
+
+def load_npz(path: Path) -> NpzMap:
+    """Read a file that holds what `encode_npz` wrote.
+
+    Raises:
+        BadMapFile: it cannot be read, is something else, or damaged; the text says what is wrong.
+    """
+    try:
+        return read_npz(path.read_bytes(), str(path))
+    except OSError as error:
+        raise BadMapFile(f"{path}: cannot be read: {error.strerror or error}") from error
+    except BadInput as error:
+        raise BadMapFile(str(error)) from error
 
 
 def _picture(snap: MapSnapshot, palette: str) -> NDArray[np.uint8]:

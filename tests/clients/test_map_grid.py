@@ -196,6 +196,29 @@ def test_an_archive_is_the_mapper_s(tmp_path, dtype):
         np.testing.assert_array_equal(arrays["origin"], [9.0, -18.0])
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_is_saved_is_loaded_value_for_value(tmp_path, dtype):
+    grid = grid_of(LOG_ODDS.astype(dtype), resolution=0.1 + 0.2, anchor=(1 / 3, -1e-5))
+    for path in (tmp_path / "map.npz", str(tmp_path / "saved")):
+        grid.save_npz(path)
+        again = MapGrid.load(path)
+        assert again.log_odds.dtype == dtype
+        np.testing.assert_array_equal(again.log_odds, grid.log_odds)
+        assert (again.resolution, again.anchor, again.offset) == (0.1 + 0.2, (1 / 3, -1e-5), (-2, 4))
+        assert (again.epoch, again.revision, again.stamp) == ("", 0, None)
+
+
+def test_what_cannot_be_loaded_is_told_in_one_line(tmp_path):
+    grid_of().save_ros_map(tmp_path / "map.yaml")
+    for name, says in (
+        ("none.npz", "cannot be read: No such file or directory"),
+        ("map.yaml", "not a map that was saved here and can be read"),
+        (".", "cannot be read: Is a directory"),
+    ):
+        with pytest.raises(BadMapFile, match=rf"^{tmp_path / name}: {says}"):
+            MapGrid.load(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("given", "name", "suffix"),
     [("a", "a", "yaml"), ("a.yaml", "a", "yaml"), ("a.yml", "a", "yml"), ("floor.2", "floor.2", "yaml")],

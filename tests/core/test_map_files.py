@@ -236,6 +236,8 @@ def archive_of(**replaced):
         (archive_of(anchor=np.zeros(3)), "anchor"),
         (archive_of(offset=np.zeros(2)), "offset is float64"),
         (archive_of(offset=np.zeros((1, 2), np.int64)), "offset"),
+        (archive_of(offset=np.array([-(2**63), 0])), "offset"),
+        (archive_of(offset=np.array([0, 2**53])), "offset"),
     ],
 )
 def test_garbage_is_refused(data, says):

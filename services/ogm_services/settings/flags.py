@@ -166,7 +166,7 @@ class MapperFlags(_SettingFlags):
 
     start_map: Annotated[
         str | None,
-        _setting("mapper", "start_map", "FILE.yaml", "Start with this ROS map, on its lattice"),
+        _setting("mapper", "start_map", "FILE", "Start with this ROS map (YAML) or map.npz, on its lattice"),
     ] = None
     start_confidence: Annotated[
         str | None,

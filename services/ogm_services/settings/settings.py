@@ -1,6 +1,7 @@
 """Settings of every service: what may be set, and within which limits."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self, assert_never
 
 from pydantic import (
@@ -132,9 +133,9 @@ class MapperSettings(_Section):
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_beams` of one scan,
     `queue` in scans. `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
-    `PlacingRules`. `start_map` is the YAML file
-    of a ROS map, a relative path starts at the working folder; `start_confidence` the probability that its
-    occupied cells are occupied, and its free ones free.
+    `PlacingRules`. `start_map` is the YAML file of a ROS map, or a map.npz; a relative path starts at the
+    working folder; `start_confidence` the probability that a ROS map's occupied cells are occupied, and its
+    free ones free.
     """
 
     max_cells: Count = DEFAULT_MAX_CELLS
@@ -167,7 +168,8 @@ class Settings(BaseModel):
     @model_validator(mode="after")
     def _agree(self) -> Self:
         self.grid_settings()
-        if self.map.bounds is not None and self.mapper.start_map is not None:
+        start_map = self.mapper.start_map
+        if self.map.bounds is not None and start_map is not None and not is_npz(start_map):
             raise BadSetting(
                 "map.bounds: a map that starts with mapper.start_map has no bounds; leave out one of the two"
             )
@@ -201,6 +203,11 @@ class Settings(BaseModel):
     def to_yaml(self) -> str:
         """Every setting that was given, as a file from which `load_settings` makes equal settings."""
         return dump_yaml(self.model_dump(mode="json", exclude_unset=True))
+
+
+def is_npz(start_map: Path) -> bool:
+    """Whether a map starts with one that was saved as NPZ; else the file describes a ROS map."""
+    return start_map.suffix.lower() == ".npz"
 
 
 SECTIONS: Mapping[str, type[BaseModel]] = {

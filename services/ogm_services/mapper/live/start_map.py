@@ -1,4 +1,4 @@
-"""Initial map of a mapper: empty, or filled from a ROS map file."""
+"""Initial map of a mapper: empty, or filled from a file: a ROS map, or a map that was saved as NPZ."""
 
 import logging
 import math
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
-from ogm_core.cells.model import CellModel, Planes, StoredCells
-from ogm_core.errors import BadMapFile, BadSetting, LimitReached
+from ogm_core.cells.model import CellModel, StoredCells
+from ogm_core.errors import BadMapFile, BadSetting, LimitReached, OutsideBounds
+from ogm_core.files.map_files import NpzMap, load_npz
 from ogm_core.grid import OccupancyGrid
-from ogm_services.settings.settings import Settings
+from ogm_services.settings.settings import Settings, is_npz
 
 if TYPE_CHECKING:
     from ogm_core.files.ros_map_reader import RosMap
@@ -29,15 +30,26 @@ _UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
 def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     """The map that the settings describe, before any scan.
 
-    With `mapper.start_map` the lattice is the file's: its resolution, and its origin as the anchor.
+    With `mapper.start_map` the lattice is the file's: its resolution, and its anchor; a ROS map's is its
+    origin.
 
     Raises:
         BadMapFile: the file or its picture is not what is needed.
-        BadSetting: it contradicts the settings: another resolution, beyond the limits, a confidence too low.
+        BadSetting: it contradicts the settings: another resolution, beyond the limits, a confidence too low,
+            log odds that these cells cannot have.
     """
     path = settings.mapper.start_map
     if path is None:
         return OccupancyGrid(settings.grid_settings(), epoch)
+    try:
+        return (_grid_of_npz if is_npz(path) else _grid_of_ros_map)(settings, epoch, path)
+    except LimitReached as error:
+        raise BadSetting(
+            f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
+        ) from error
+
+
+def _grid_of_ros_map(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
     # Here, because what reads pictures loads slowly, and most maps start empty.
     from ogm_core.files.ros_map_reader import read_ros_map
 
@@ -46,13 +58,67 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     _check_resolution(settings, ros_map.resolution, path)
     grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
     grid = OccupancyGrid(grid_settings, epoch)
-    try:
-        grid.begin_with(_start_planes(ros_map.occupancy, grid.model, settings.mapper.start_confidence))
-    except LimitReached as error:
+    cells = start_cells(ros_map.occupancy, _log_odds(grid.model), settings.mapper.start_confidence)
+    grid.begin_with({PLANE: cells})
+    return grid
+
+
+def _grid_of_npz(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
+    """The map that was saved, value for value: known cells keep their log odds, whatever the prior is now."""
+    npz = load_npz(path)
+    _check_resolution(settings, npz.resolution, path)
+    if "start_confidence" in settings.mapper.model_fields_set:
         raise BadSetting(
-            f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
+            f"mapper.start_confidence: {path} has its cells' log odds, which stay as they are: leave it out"
+        )
+    grid_settings = replace(settings.grid_settings(), resolution=npz.resolution, anchor=npz.anchor)
+    grid = OccupancyGrid(grid_settings, epoch)
+    if grid.lattice.anchor != npz.anchor:
+        raise BadSetting(
+            f"map.bounds: they begin at {grid.lattice.anchor}, and the cells of mapper.start_map {path} are "
+            f"counted from {npz.anchor}: give the bounds of the map that was saved, or none"
+        )
+    cells = _cells_of_npz(npz, _log_odds(grid.model), path)
+    try:
+        grid.begin_with({PLANE: cells}, npz.offset)
+    except OutsideBounds as error:
+        raise BadSetting(
+            f"map.bounds: {error} (mapper.start_map {path}): widen them, or give none"
         ) from error
     return grid
+
+
+def _cells_of_npz(npz: NpzMap, model: LogOdds, path: Path) -> StoredCells:
+    """Stored cells that are served again as what the file holds.
+
+    Raises:
+        BadSetting: there are none, with this type, prior or clamps.
+    """
+    saved_as = "float64" if npz.log_odds.dtype == np.float64 else "int16"
+    if model.cells != saved_as:
+        raise BadSetting(
+            f"map.cells is {model.cells}, but mapper.start_map {path} was saved by a map of {saved_as} "
+            f"cells: give --cells {saved_as}"
+        )
+    known = ~np.isnan(npz.log_odds)
+    with np.errstate(invalid="ignore"):
+        cells = model.store(np.where(known, npz.log_odds, model.l0).astype(np.float64), known)
+    served = model.log_odds(cells).astype(npz.log_odds.dtype)
+    wrong = np.argwhere(known & (served != npz.log_odds))
+    if len(wrong):
+        iy, ix = wrong[0].tolist()
+        raise BadSetting(
+            f"mapper.start_map: {path} was saved with another map.p_prior, map.l_min or map.l_max: the log "
+            f"odds {npz.log_odds[iy, ix]:.9g} of its cell ({npz.offset[0] + ix}, {npz.offset[1] + iy}) would "
+            f"become {served[iy, ix]:.9g} ({len(wrong)} cells in all): give those that it was saved with"
+        )
+    return cells
+
+
+def _log_odds(model: CellModel) -> LogOdds:
+    if not isinstance(model, LogOdds):
+        raise BadSetting("mapper.start_map starts a map of log odds: leave it out, or map.cell_model")
+    return model
 
 
 def _check_not_turned(ros_map: "RosMap", path: Path) -> None:
@@ -69,14 +135,6 @@ def _check_not_turned(ros_map: "RosMap", path: Path) -> None:
         f"the axes: turn its picture counter-clockwise by {math.degrees(ros_map.yaw):.6g} degrees, without "
         f"mixing greys and with 205 (unknown) around it, and set origin to [{x:.6g}, {y:.6g}, 0]"
     )
-
-
-def _start_planes(occupancy: NDArray[np.int8], model: CellModel, confidence: float) -> Planes:
-    if not isinstance(model, LogOdds):
-        raise BadSetting(
-            "mapper.start_map: a ROS map starts a map of log odds: leave it out, or map.cell_model"
-        )
-    return {PLANE: start_cells(occupancy, model, confidence)}
 
 
 def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) -> StoredCells:
