@@ -17,6 +17,7 @@ from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
+from ogm_core.files.file_names import check_suffix, ros_map_names
 from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml, load_npz
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
@@ -204,12 +205,20 @@ class MapGrid:
 
         Raises:
             MapEmpty: there is no cell to draw.
-            BadParameter: as `to_png`.
+            BadParameter: as `to_png`; or the name is that of another format, such as a.jpg.
+            OSError: the file cannot be written; what was there before is still there.
         """
+        check_suffix(Path(path), ".png")
         write_files({Path(path): self.to_png(palette, max_size)})
 
     def save_npz(self, path: str | os.PathLike[str]) -> None:
-        """Write a NumPy archive of the arrays that the mapper's own map.npz holds."""
+        """Write a NumPy archive of the arrays that the mapper's own map.npz holds.
+
+        Raises:
+            BadParameter: the name is that of another format, such as a.png.
+            OSError: the file cannot be written; what was there before is still there.
+        """
+        check_suffix(Path(path), ".npz")
         with whole_file(Path(path)) as file:  # given a path, numpy would add a suffix of its own
             np.savez_compressed(
                 file,
@@ -223,15 +232,14 @@ class MapGrid:
     def save_ros_map(self, path: str | os.PathLike[str]) -> None:
         """Write the pair that ROS 2 nav2 map_server loads, NAME.yaml and, beside it, NAME.pgm.
 
-        `path` is NAME.yaml (or NAME.yml), or NAME alone.
+        `path` is one of the two (or NAME.yml), or NAME alone.
 
         Raises:
             MapEmpty: there is no cell to draw.
+            BadParameter: the name is that of another format, or not text.
+            OSError: the files cannot be written; what was there before is still there.
         """
-        target = Path(path)
-        if target.suffix not in (".yaml", ".yml"):
-            target = target.with_name(f"{target.name}.yaml")
-        picture = target.with_suffix(".pgm")
+        picture, target = ros_map_names(Path(path))
         snap = self._snapshot()
         encoded = encode_pgm(snap)
         description = encode_yaml(snap, picture.name, encoded)

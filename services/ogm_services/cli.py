@@ -21,6 +21,7 @@ from ogm_services.runtime.loading import loading
 from ogm_services.runtime.signals import running_service
 from ogm_services.runtime.terminal import outlive_terminal
 from ogm_services.settings.flags import (
+    ClientFlags,
     ConfigFile,
     HttpFlags,
     LogFlags,
@@ -82,15 +83,11 @@ MapperOut = Annotated[
     ),
 ]
 Url = Annotated[
-    str,
-    typer.Option(
-        metavar="URL", help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT."
-    ),
-]
-MapName = Annotated[
     str | None,
     typer.Option(
-        "--map", metavar="NAME", help="Name of the map (default: default; over HTTP whichever is served)."
+        metavar="URL",
+        help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT "
+        f"(default: where the settings connect to, else {DEFAULT_ADDRESS}).",
     ),
 ]
 Log = Annotated[
@@ -309,34 +306,45 @@ def build(
 
 
 @app.command()
+@with_flag_groups
 def get(
     name: Annotated[
         str,
         typer.Argument(metavar="NAME", help="map.png, map.yaml (with its PGM), map.json?region=0,0,5,5, ..."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="File to write; - for stdout.")],
-    url: Url = DEFAULT_ADDRESS,
-    map_name: MapName = None,
+    network: ClientFlags,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File to write; - for stdout (default: NAME, here)."
+        ),
+    ] = None,
+    url: Url = None,
+    config: ConfigFile = None,
 ) -> None:
     """Fetch a file from a running mapper."""
-    from ogm_client import MapClient
     from ogm_services.commands.get import fetch
+    from ogm_services.commands.mapper_client import mapper_client
 
-    with MapClient(url, map_name=map_name) as client:
-        fetch(client, name, out, sys.stdout.buffer)
+    with mapper_client(url, settings_from(config, network).network) as client:
+        written = fetch(client, name, out, sys.stdout.buffer)
+    if out is None:
+        typer.echo(" ".join(map(str, written)))
 
 
 @app.command()
+@with_flag_groups
 def status(
-    url: Url = DEFAULT_ADDRESS,
-    map_name: MapName = None,
+    network: ClientFlags,
+    url: Url = None,
+    config: ConfigFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Show what a running mapper is doing."""
-    from ogm_client import MapClient
     from ogm_client.transport import json_object
+    from ogm_services.commands.mapper_client import mapper_client
 
-    with MapClient(url, map_name=map_name) as client:
+    with mapper_client(url, settings_from(config, network).network) as client:
         if as_json:
             typer.echo(json.dumps(json_object("status", client.fetch("status")), indent=2))
             return

@@ -2,6 +2,7 @@
 
 import io
 import math
+import os
 import zlib
 from pathlib import Path
 
@@ -221,7 +222,13 @@ def test_what_cannot_be_loaded_is_told_in_one_line(tmp_path):
 
 @pytest.mark.parametrize(
     ("given", "name", "suffix"),
-    [("a", "a", "yaml"), ("a.yaml", "a", "yaml"), ("a.yml", "a", "yml"), ("floor.2", "floor.2", "yaml")],
+    [
+        ("a", "a", "yaml"),
+        ("a.pgm", "a", "yaml"),
+        ("a.yaml", "a", "yaml"),
+        ("a.yml", "a", "yml"),
+        ("floor.2", "floor.2", "yaml"),
+    ],
 )
 def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
     grid_of().save_ros_map(tmp_path / given)
@@ -277,10 +284,30 @@ def test_what_is_saved_is_there_whole_or_not_at_all(tmp_path):
     with pytest.raises(IsADirectoryError):
         grid_of().save_ros_map(tmp_path / "hall.yaml")
     assert (tmp_path / "hall.pgm").read_bytes() == b"before"
+    (tmp_path / "hall").mkdir()
     for save in ("save_png", "save_npz"):
         with pytest.raises(IsADirectoryError):
-            getattr(grid_of(), save)(tmp_path / "hall.yaml")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["hall.pgm", "hall.yaml"]
+            getattr(grid_of(), save)(tmp_path / "hall")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hall", "hall.pgm", "hall.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("save", "name", "wanted"),
+    [("save_png", "a.jpg", "png"), ("save_npz", "a.png", "npz"), ("save_ros_map", "a.JPEG", "yaml")],
+)
+def test_a_name_that_says_another_format_is_refused(tmp_path, save, name, wanted):
+    with pytest.raises(
+        BadParameter, match=rf"{name}: a file of this name is no {wanted} file: end it in \.{wanted}"
+    ):
+        getattr(grid_of(), save)(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_ros_map_needs_a_name_that_its_yaml_can_say(tmp_path):
+    with pytest.raises(BadParameter, match="is not UTF-8 text: choose another name"):
+        grid_of().save_ros_map(tmp_path / os.fsdecode(b"\xff.yaml"))
+    grid_of().save_png(tmp_path / os.fsdecode(b"\xff.png"))
+    assert [path.name for path in tmp_path.iterdir()] == [os.fsdecode(b"\xff.png")]
 
 
 @pytest.mark.parametrize(

@@ -155,3 +155,20 @@ except BrokenPipeError:
 """
     ended = subprocess.run([sys.executable, "-c", program], timeout=ENDED, check=False)
     assert ended.returncode == 7
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
+def test_a_name_that_the_terminal_cannot_show_is_printed_otherwise(tmp_path, encoding):
+    """A file name is any bytes; a terminal's encoding says what it can show."""
+    for name in (b"\xff.jsonl", "\N{SNOWMAN}.jsonl".encode()):
+        done = subprocess.run(
+            [sys.executable, "-m", "ogm_services", "simulate", "--scans", "1", "--out", os.fsdecode(name)],
+            cwd=tmp_path,
+            env={**without_settings(os.environ), "PYTHONIOENCODING": encoding, "PYTHONUTF8": "1"},
+            capture_output=True,
+            timeout=STARTED,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert done.stdout.endswith(b".jsonl: 1 scans each of robot1\n")
+        assert (tmp_path / os.fsdecode(name)).stat().st_size > 0

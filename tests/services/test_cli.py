@@ -32,8 +32,8 @@ FLAGS = {
     f"--scans --connect-timeout --config {NETWORK_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
     "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
-    "get": "--out -o --url --map",
-    "status": "--json --url --map",
+    "get": "--out -o --url --map --zenoh-config --config",
+    "status": "--json --url --map --zenoh-config --config",
 }
 
 
@@ -152,7 +152,7 @@ def one_line(result, code):
         ("replay", "LOG"),
         ("build x.log", "--out"),
         ("build x.log --out d --hold-out 1", "--hold-out: 2 or more"),
-        ("get map.png", "--out"),
+        ("get", "NAME"),
         ("get map.gif -o x --url http://127.0.0.1:9", "map.gif"),
         ("status --url nowhere", "nowhere"),
     ],

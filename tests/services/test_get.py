@@ -1,4 +1,8 @@
+"""`ogm get` and `ogm status`: whom they ask, and what they make of the answer."""
+
 import json
+import os
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,6 +11,8 @@ from typer.testing import CliRunner
 
 from ogm_client import MapperError
 from ogm_client.status_reply import read_status
+from ogm_client.session import NetworkConfig
+from ogm_core.files.file_names import ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_services.cli import app
@@ -57,8 +63,9 @@ class FakeGrid:
     region: Region | None
 
     def save_ros_map(self, path):
-        Path(path).write_bytes(b"yaml")
-        Path(path).with_suffix(".pgm").write_bytes(b"pgm")
+        picture, description = ros_map_names(Path(path))
+        picture.write_bytes(b"pgm")
+        description.write_bytes(b"yaml")
 
 
 class FakeClient:
@@ -66,8 +73,8 @@ class FakeClient:
 
     asked: list
 
-    def __init__(self, address, *, map_name):
-        FakeClient.asked = [(address, map_name)]
+    def __init__(self, address=None, *, map_name, session=None):
+        FakeClient.asked = [(session or address, map_name)]
 
     def __enter__(self):
         return self
@@ -101,7 +108,10 @@ def ogm():
 
 @pytest.fixture
 def mapper(monkeypatch):
+    for name in [name for name in os.environ if name.startswith("OGM_")]:
+        monkeypatch.delenv(name)
     monkeypatch.setattr("ogm_client.MapClient", FakeClient)
+    monkeypatch.setattr("ogm_services.commands.mapper_client.open_session", nullcontext)
     return FakeClient
 
 
@@ -120,6 +130,95 @@ def test_get_to_stdout(ogm, mapper):
     result = ogm("get", "map.png", "-o", "-", "--url", "http://h:1", "--map", "hall")
     assert (result.exit_code, result.stdout_bytes) == (0, b"\x89PNG")
     assert mapper.asked[0] == ("http://h:1", "hall")
+
+
+@pytest.mark.parametrize("command", [["get", "map.png", "-o", "-"], ["status", "--json"]])
+def test_whom_they_ask_is_said_by_flags_environment_and_settings_file(
+    ogm, mapper, tmp_path, monkeypatch, command
+):
+    zenoh, config = tmp_path / "zenoh.json5", tmp_path / "ogm.yaml"
+    zenoh.write_text("{}")
+    config.write_text("network: {map_name: hall, connect: [tcp/h:1]}\n")
+
+    def asked(*flags):
+        assert ogm(*command, *flags).exit_code == 0
+        return mapper.asked[0]
+
+    assert asked("--config", config) == ("tcp/h:1", "hall")
+    assert asked("--config", config, "--map", "x", "--url", "tcp/h:2") == ("tcp/h:2", "x")
+    assert asked("--zenoh-config", zenoh) == (NetworkConfig(config_file=zenoh), "default")
+    assert asked("--zenoh-config", zenoh, "--url", "tcp/h:2")[0] == NetworkConfig(
+        connect=("tcp/h:2",), config_file=zenoh
+    )
+    assert asked("--zenoh-config", zenoh, "--url", "http://h:2")[0] == "http://h:2"
+    monkeypatch.setenv("OGM_NETWORK__CONNECT", "tcp/h:3,tcp/h:4")
+    monkeypatch.setenv("OGM_NETWORK__MAP_NAME", "yard")
+    assert asked("--config", config) == (NetworkConfig(connect=("tcp/h:3", "tcp/h:4")), "yard")
+    monkeypatch.setenv("OGM_NETWORK__NAME", "yard")
+    refused = ogm(*command)
+    assert refused.exit_code == 2
+    assert "OGM_NETWORK__NAME: unknown setting" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("map.png", "map.png"),
+        ("/map.png?palette=probability", "map.png"),
+        ("map.json?region=0,0,1,1", "map.json"),
+        ("cell?x=1&y=2", "cell.json"),
+        ("status", "status.json"),
+        ("map.yaml", "map.pgm map.yaml"),
+    ],
+)
+def test_without_a_file_it_is_called_what_it_is(ogm, mapper, tmp_path, monkeypatch, name, files):
+    monkeypatch.chdir(tmp_path)
+    result = ogm("get", name)
+    assert (result.exit_code, result.stdout, result.stderr) == (0, f"{files}\n", "")
+    assert " ".join(sorted(path.name for path in tmp_path.iterdir())) == files
+
+
+@pytest.mark.parametrize("out", ["hall.yaml", "hall.pgm", "hall"])
+def test_a_ros_map_is_named_by_either_of_its_files(ogm, mapper, tmp_path, out):
+    assert ogm("get", "map.yaml", "-o", tmp_path / out).exit_code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hall.pgm", "hall.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("name", "out", "wanted"),
+    [
+        ("map.png", "a.jpg", "png"),
+        ("map.png", "A.JPEG", "png"),
+        ("map.png?palette=probability", "a.pgm", "png"),
+        ("map.npz", "a.png", "npz"),
+        ("status", "a.yaml", "json"),
+        ("map.yaml", "a.png", "yaml"),
+    ],
+)
+def test_a_name_that_says_another_format_is_refused(ogm, mapper, tmp_path, name, out, wanted):
+    result = ogm("get", name, "-o", tmp_path / out)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == (
+        f"ogm: {tmp_path / out}: a file of this name is no {wanted} file: end it in .{wanted}\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+    for other in ("picture", "floor.2", f"b.{wanted.upper()}"):
+        assert ogm("get", name, "-o", tmp_path / other).exit_code == 0
+
+
+def test_names_that_are_no_text_are_written_where_no_text_is_needed(ogm, mapper, tmp_path):
+    out = tmp_path / os.fsdecode(b"\xff.png")
+    assert ogm("get", "map.png", "-o", out).exit_code == 0
+    assert out.read_bytes() == b"\x89PNG"
+    for command in (
+        ("get", "map.yaml", "-o", tmp_path / os.fsdecode(b"\xff.yaml")),
+        ("get", os.fsdecode(b"map.png?palette=\xff"), "-o", tmp_path / "a.png"),
+        ("get", os.fsdecode(b"map.\xff"), "-o", tmp_path / "a.png"),
+    ):
+        result = ogm(*command)
+        assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+        assert "is not UTF-8 text: choose another name" in result.stderr
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_get_map_yaml_brings_its_picture_from_the_same_map(ogm, mapper, tmp_path):

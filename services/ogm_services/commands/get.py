@@ -8,6 +8,7 @@ from urllib.parse import parse_qsl
 
 from ogm_client import MapClient, MapperError
 from ogm_core.errors import BadInput, BadParameter
+from ogm_core.files.file_names import check_suffix, check_text, ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.whole_files import write_files
 from ogm_services.results.written import written
@@ -16,34 +17,47 @@ from ogm_services.settings.values import parse_region
 STDOUT = Path("-")
 
 
-def fetch(client: MapClient, name: str, out: Path, stdout: BinaryIO) -> None:
-    """Write what the mapper serves as `name` into `out`, or to `stdout` if that is "-".
+def fetch(client: MapClient, name: str, out: Path | None, stdout: BinaryIO) -> tuple[Path, ...]:
+    """Write what the mapper serves as `name` into `out`, or to `stdout` if that is "-"; the files written.
 
     `name` may carry parameters: map.png?palette=probability&max_size=500. map.yaml comes with its PGM,
-    beside it and of the same map.
+    beside it and of the same map. Without `out` the file is called what it is, in the working folder.
 
     Raises:
-        BadInput: a parameter is wrong, or `out` cannot be written.
+        BadInput: a parameter is wrong, or `out` cannot be written, or its name is that of another format.
+        DiskFull: there is no room for it.
         ClientError: the mapper does not answer, or refuses.
     """
+    check_text(name, "NAME")
     name, _, query = name.lstrip("/").partition("?")
     parameters = _parameters(query)
+    own = name if "." in name else f"{name}.json"
+    if out is None:
+        out = Path(own)
+    elif out != STDOUT and name != "map.yaml":
+        check_suffix(out, Path(own).suffix)
     if name == "map.yaml":
-        if out == STDOUT:
-            raise BadInput("map.yaml comes with its map.pgm, two files: give -o FILE.yaml")
-        with _asking():
-            grid = client.get_map(_region(parameters))
-        with written(out, "-o"):
-            grid.save_ros_map(out)
-        return
+        return _fetch_ros_map(client, _region(parameters), out)
     with _asking():
         content = client.fetch(name, **parameters)
     with written(out, "-o"):
         if out == STDOUT:
             stdout.write(content)
             stdout.flush()
-        else:
-            write_files({out: content})
+            return ()
+        write_files({out: content})
+    return (out,)
+
+
+def _fetch_ros_map(client: MapClient, region: Region | None, out: Path) -> tuple[Path, ...]:
+    if out == STDOUT:
+        raise BadInput("map.yaml comes with its map.pgm, two files: give -o FILE.yaml")
+    names = ros_map_names(out)
+    with _asking():
+        grid = client.get_map(region)
+    with written(out, "-o"):
+        grid.save_ros_map(out)
+    return names
 
 
 @contextmanager

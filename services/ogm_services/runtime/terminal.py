@@ -16,7 +16,8 @@ def outlive_terminal() -> None:
     """From here on, to the end of the process, nothing fails because its terminal was closed.
 
     What is printed then goes nowhere, and so does what is printed on stderr to a pipe that nobody reads. On
-    stdout such a pipe stays an error: whoever read a result there wants no more of it.
+    stdout such a pipe stays an error: whoever read a result there wants no more of it. What the terminal's
+    encoding has no character for, such as file names that are no text, is printed in escapes.
     """
     sys.stdout = _outliving(sys.stdout, _TERMINAL_GONE)
     sys.stderr = _outliving(sys.stderr, _TERMINAL_GONE | _READER_GONE)
@@ -30,7 +31,7 @@ def _outliving(stream: TextIO, forgiven: frozenset[int]) -> TextIO:
     return io.TextIOWrapper(
         io.BufferedWriter(_Outliving(stream.fileno(), forgiven)),
         encoding=stream.encoding,
-        errors=stream.errors,
+        errors="backslashreplace" if stream.errors == "strict" else stream.errors,
         line_buffering=stream.line_buffering,
         write_through=stream.write_through,
     )

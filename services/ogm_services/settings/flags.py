@@ -147,6 +147,20 @@ class NetworkFlags(_SettingFlags):
 
 
 @dataclass(frozen=True)
+class ClientFlags(_SettingFlags):
+    """Network flags of who only asks a mapper, and gives its address as --url."""
+
+    section = "network"
+
+    map_name: Annotated[
+        str | None, _setting("network", "map_name", "NAME", "Name of the map; over HTTP it says itself")
+    ] = None
+    zenoh_config: Annotated[
+        str | None, _setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
+    ] = None
+
+
+@dataclass(frozen=True)
 class HttpFlags(_SettingFlags):
     """HTTP flags of the mapper."""
 
