@@ -73,10 +73,10 @@ def read_ros_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> Ro
         _check_seal(fields, picture, file)
     except BadMapFile as error:
         raise BadMapFile(f"{path}: {error}") from error
-    occupancy = table[picture.greys]
+    occupancy = table[picture.greys[::-1]]  # pictures begin at the top, north
     if picture.opaque is not None and not raw:  # whose greys are taken as they are
-        occupancy = np.where(picture.opaque, occupancy, np.int8(UNKNOWN))
-    return RosMap(occupancy[::-1], resolution, (x, y), yaw)  # pictures begin at the top, north
+        occupancy = np.where(picture.opaque[::-1], occupancy, np.int8(UNKNOWN))
+    return RosMap(occupancy, resolution, (x, y), yaw)
 
 
 def _fields(path: Path) -> Mapping[str, object]:

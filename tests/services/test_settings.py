@@ -167,6 +167,7 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("map.outside", "keep", "'clip' or 'drop'"),
         ("map.bounds", "1,2,3", "XMIN,YMIN,XMAX,YMAX"),
         ("map.bounds", "a,b,c,d", "XMIN,YMIN,XMAX,YMAX"),
+        ("map.bounds", "0,0,1_0,1", "XMIN,YMIN,XMAX,YMAX"),
         ("http.port", "65536", "less than or equal to 65535"),
         ("http.port", "-1", "greater than or equal to 0"),
         ("mapper.max_beams", "0", "greater than or equal to 1"),
