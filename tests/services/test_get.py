@@ -222,7 +222,7 @@ def test_names_that_are_no_text_are_written_where_no_text_is_needed(ogm, mapper,
 
 
 def test_get_map_yaml_brings_its_picture_from_the_same_map(ogm, mapper, tmp_path):
-    assert ogm("get", "map.yaml?region=-1,-2,3,4", "-o", tmp_path / "hall.yaml").exit_code == 0
+    assert ogm("get", "map.yaml?t=1&region=-1,-2,3,4&t=2", "-o", tmp_path / "hall.yaml").exit_code == 0
     assert (tmp_path / "hall.yaml").read_bytes() == b"yaml"
     assert (tmp_path / "hall.pgm").read_bytes() == b"pgm"
     assert mapper.asked[1:] == [("map", Region(-1.0, -2.0, 3.0, 4.0))]

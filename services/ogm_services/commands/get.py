@@ -73,9 +73,10 @@ def _asking() -> Iterator[None]:
 
 def _parameters(query: str) -> dict[str, str]:
     try:
-        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError:
         raise BadParameter(f"{query!r}: parameters are written KEY=VALUE&KEY=VALUE") from None
+    pairs = [(key, value) for key, value in given if key != "t"]  # which a mapper does not hear, either
     parameters = dict(pairs)
     if len(parameters) < len(pairs):
         raise BadParameter(f"{query!r}: every parameter is given once")
