@@ -19,7 +19,7 @@ from ogm_services.commands.simulator_options import SimulatorOptions
 MAP_FLAGS = (
     "--preset --resolution --sensor-model --cell-model --traversal --p-occ --p-free --p-prior "
     "--alpha --l-min --l-max --reach "
-    "--clear-range --cells --bounds --outside"
+    "--clear-range --cells --bounds --outside --sensor"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port"
@@ -28,8 +28,8 @@ LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
     "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
     "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
-    "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise --out "
-    f"--scans --connect-timeout --config {NETWORK_FLAGS}",
+    "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise "
+    f"--out --scans --connect-timeout --config {NETWORK_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
     "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
     "get": "--out -o --url --map --zenoh-config --config",

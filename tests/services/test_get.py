@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from ogm_client import MapperError
-from ogm_client.status_reply import read_status
 from ogm_client.session import NetworkConfig
+from ogm_client.status_reply import read_status
 from ogm_core.files.file_names import ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.placing.receipts import DROP_REASONS
