@@ -146,7 +146,7 @@ def test_whom_they_ask_is_said_by_flags_environment_and_settings_file(
 
     assert asked("--config", config) == ("tcp/h:1", "hall")
     assert asked("--config", config, "--map", "x", "--url", "tcp/h:2") == ("tcp/h:2", "x")
-    assert asked("--zenoh-config", zenoh) == (NetworkConfig(config_file=zenoh), "default")
+    assert asked("--zenoh-config", zenoh) == (NetworkConfig(config_file=zenoh), None)
     assert asked("--zenoh-config", zenoh, "--url", "tcp/h:2")[0] == NetworkConfig(
         connect=("tcp/h:2",), config_file=zenoh
     )
