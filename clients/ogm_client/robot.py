@@ -4,6 +4,7 @@ import math
 import threading
 import time
 import uuid
+import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
@@ -23,6 +24,8 @@ from ogm_core.wire.keys import DEFAULT_ADDRESS, MapKeys, check_name
 from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
+_UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
+_DAY_NS = 86_400 * 10**9
 _M = TypeVar("_M")
 
 
@@ -74,6 +77,7 @@ class RobotPublisher:
         self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
         self._keys = MapKeys(map_name)
         self._closed = False
+        self._warned = False
         self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
         self._channels: dict[str, _Channel] = {}
         self._channels_lock = threading.Lock()
@@ -101,7 +105,7 @@ class RobotPublisher:
         pose = pose_of((x, y, theta), "pose")
         channel = self._pose_channel()
         with channel.lock:
-            now = time.time_ns() if stamp is None else stamp_of(stamp)
+            now = time.time_ns() if stamp is None else self._looked_at(stamp_of(stamp))
             channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)))
             channel.seq += 1
 
@@ -122,12 +126,12 @@ class RobotPublisher:
         """Publish one sweep; beam k looks along `angle_min + k * angle_increment` in the sensor frame.
 
         Args:
-            ranges: metres, shape (N,), sent as float32; inf, or `range_max` and above, means "no return", NaN
-                "no measurement".
+            ranges: metres, shape (N,), sent as float32; inf or `range_max` means "no return", what is above
+                `range_max`, NaN, or masked, is no measurement.
             angle_min: bearing of the first beam, rad.
-            angle_increment: from beam to beam, rad; not 0, negative if clockwise.
+            angle_increment: from beam to beam, rad; negative if clockwise, 0 only of a single beam.
             range_min: nearer readings are no measurements, m.
-            range_max: readings from here on are no returns, m; at most 1000.
+            range_max: a reading of this much is no return, m; at most 1000.
             sensor: which of the robot's sensors.
             stamp: time of the first beam, ns since the Unix epoch; None is now.
             time_increment: from beam to beam, s.
@@ -147,7 +151,7 @@ class RobotPublisher:
                 angle_increment=angle_increment,
                 range_min=range_min,
                 range_max=range_max,
-                stamp=time.time_ns() if stamp is None else stamp,
+                stamp=time.time_ns() if stamp is None else self._looked_at(stamp_of(stamp)),
                 time_increment=time_increment,
                 mount=mount,
                 pose=pose,
@@ -231,6 +235,17 @@ class RobotPublisher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _looked_at(self, stamp: int) -> int:
+        """The stamp itself; warns, once, of one that looks like another unit than ns."""
+        if not self._warned:
+            now = time.time_ns()
+            for unit, ns in _UNITS.items():
+                if abs(stamp * ns - now) < _DAY_NS:
+                    self._warned = True
+                    text = f"stamp: {stamp} looks like {unit} since 1970; ns are needed"
+                    warnings.warn(text, stacklevel=3)
+        return stamp
 
     def _declare_alive(self) -> zenoh.LivelinessToken:
         alive = self._keys.alive("robot", self.robot, self.run)

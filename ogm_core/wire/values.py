@@ -1,5 +1,6 @@
 """A caller's own values as messages: lists and arrays of any numbers, checked as a mapper checks messages."""
 
+import math
 import numbers
 import operator
 from typing import Any
@@ -10,6 +11,9 @@ from numpy.typing import ArrayLike
 from ogm_core.errors import BadMessage
 from ogm_core.types import Pose, Ranges, Scan
 from ogm_core.wire.messages import scan_from_fields
+
+MAX_TURNS = 2.0
+"""Bearings that go round more often are no radians."""
 
 
 def scan_of(
@@ -49,7 +53,13 @@ def scan_of(
         fields["mount"] = list(pose_of(mount, "mount"))
     if pose is not None:
         fields["pose"] = list(pose_of(pose, "pose"))
-    return scan_from_fields(fields, ranges_of(ranges))
+    scan = scan_from_fields(fields, ranges_of(ranges))
+    turns = (scan.ranges.size - 1) * abs(scan.angle_increment) / math.tau
+    if turns > MAX_TURNS:
+        raise BadMessage(
+            f"angle_increment: the bearings go {turns:.3g} times round: give radians, not degrees"
+        )
+    return scan
 
 
 def stamp_of(value: int) -> int:

@@ -69,6 +69,43 @@ def test_a_pose_arrives_as_it_was_given(robot, received):
     ]
 
 
+def test_what_is_masked_is_no_measurement(robot, received):
+    measured = np.ma.MaskedArray([1.0, 2.0, 3.0], mask=[False, True, False])
+    robot.publish_scan(measured, **SWEEP)
+    robot.publish_scan(np.ma.MaskedArray([1, 2], mask=False), **SWEEP)
+    (_, masked), (_, bare) = received(2)
+    np.testing.assert_array_equal(masked.ranges, [1.0, np.nan, 3.0])
+    np.testing.assert_array_equal(bare.ranges, [1.0, 2.0])
+    np.testing.assert_array_equal(measured.data, [1.0, 2.0, 3.0])
+
+
+def test_bearings_that_go_round_more_than_twice_are_refused(robot, received):
+    angles = {"angle_min": 0.0, "range_min": 0.1, "range_max": 30.0}
+    with pytest.raises(BadMessage, match=r"angle_increment: the bearings go 57.1 times round: give radians"):
+        robot.publish_scan([1.0] * 360, angle_increment=1.0, **angles)
+    robot.publish_scan([1.0] * 721, angle_increment=-np.pi / 180, **angles)
+    robot.publish_scan([1.0], angle_increment=0.0, **angles)
+    assert [scan.ranges.size for _, scan in received(2)] == [721, 1]
+
+
+@pytest.mark.parametrize(
+    ("ns", "unit"), [(10**9, "seconds"), (10**6, "milliseconds"), (10**3, "microseconds")]
+)
+def test_a_stamp_in_another_unit_is_warned_of_once(robot, received, ns, unit):
+    stamp = (time.time_ns() + 3_600 * 10**9) // ns
+    with pytest.warns(UserWarning, match=f"stamp: {stamp} looks like {unit} since 1970; ns") as caught:
+        robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)
+    assert [warning.filename for warning in caught] == [__file__]
+    robot.publish_scan([1.0], stamp=stamp + 1, **SWEEP)  # another warning would be an error
+    assert len(received(2)) == 2
+
+
+def test_simulated_time_and_the_time_of_now_are_not_warned_of(robot, received):
+    for stamp in (0, 5 * 10**9, 3_600 * 10**9, time.time_ns(), None):
+        robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)  # a warning would be an error
+    assert len(received(5)) == 5
+
+
 def test_a_scan_arrives_as_it_was_given(robot, received):
     ranges = [1.5, np.inf, np.nan, 29.875]
     pose, mount = (1, 2, 3), np.array([0.25, 0, -0.5])
@@ -180,7 +217,7 @@ def test_recorded_messages_keep_their_run_and_seq(robot, received):
 )
 def test_a_bad_scan_is_refused_and_not_counted(robot, received, change, message):
     with pytest.raises(BadMessage, match=message):
-        robot.publish_scan(**{"ranges": [1.0], **SWEEP, **change})
+        robot.publish_scan(**{"ranges": [1.0, 2.0], **SWEEP, **change})
     robot.publish_scan([2.0], **SWEEP)
     [(_, scan)] = received(1)
     assert (scan.seq, scan.ranges.tolist()) == (0, [2.0])
