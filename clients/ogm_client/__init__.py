@@ -17,20 +17,33 @@ from ogm_client.map_grid import MapGrid
 from ogm_client.raycast import Ray, Rays
 from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
-from ogm_core.errors import BadInput, BadMessage, BadParameter, BadSetting, MapEmpty, OgmError
+from ogm_core.errors import (
+    BadInput,
+    BadMapFile,
+    BadMessage,
+    BadParameter,
+    BadRecording,
+    BadSetting,
+    DiskFull,
+    MapEmpty,
+    OgmError,
+)
 from ogm_core.status import RobotStatus, SourceStatus, Status
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
     "DEFAULT_ADDRESS",
     "BadInput",
+    "BadMapFile",
     "BadMessage",
     "BadParameter",
+    "BadRecording",
     "BadReply",
     "BadSetting",
     "CannotConnect",
     "CannotListen",
     "ClientError",
+    "DiskFull",
     "MapClient",
     "MapEmpty",
     "MapGrid",

@@ -5,7 +5,6 @@ import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -49,6 +48,7 @@ class RecordingWriter:
         Raises:
             BadSetting: a name cannot stand in a key.
             BadRecording: the file's name ends otherwise, or it cannot be written.
+            DiskFull: there is no room for it.
         """
         self.path = Path(path)
         self.robot = check_name(robot, "robot")
@@ -70,6 +70,7 @@ class RecordingWriter:
             BadMessage: a value is of the wrong type, or not finite; nothing is written.
             BadSetting: `robot` cannot stand in a key.
             BadRecording: the writer is closed, or the file cannot be written.
+            DiskFull: there is no room for it.
         """
         name, pose = self._named(robot), pose_of((x, y, theta), "pose")
         with self._lock:
@@ -93,8 +94,8 @@ class RecordingWriter:
         sensor: str = "laser",
         stamp: int | None = None,
         time_increment: float = 0.0,
-        mount: Sequence[float] | None = None,
-        pose: Sequence[float] | None = None,
+        mount: ArrayLike | None = None,
+        pose: ArrayLike | None = None,
         robot: str | None = None,
     ) -> None:
         """Write one sweep, whose arguments are those of `RobotPublisher.publish_scan`.
@@ -105,6 +106,7 @@ class RecordingWriter:
             BadMessage: a value is of the wrong type or out of range; nothing is written.
             BadSetting: `sensor` or `robot` cannot stand in a key.
             BadRecording: the writer is closed, or the file cannot be written.
+            DiskFull: there is no room for it.
         """
         name, source = self._named(robot), check_name(sensor, "sensor")
         with self._lock:
@@ -129,6 +131,7 @@ class RecordingWriter:
 
         Raises:
             BadRecording: it cannot be written; a file that had its name before is still there.
+            DiskFull: there is no room for it; likewise.
         """
         with self._lock:
             self._closed = True

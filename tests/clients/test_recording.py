@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ogm_client import OgmError, RecordingWriter, RobotPublisher
-from ogm_core.errors import BadMessage, BadRecording, BadSetting
+from ogm_core.errors import BadMessage, BadRecording, BadSetting, DiskFull
 from ogm_core.logs.recordings import RecordingReader
 from ogm_core.types import Pose
 
@@ -178,7 +178,7 @@ def test_a_full_disk_leaves_what_was_there_before(tmp_path, name):
                 recording.write_scan(rng.random(400), **LIDAR)
 
     for scans in (2, 200):  # the room ends when the file is closed, or while it is written
-        with room_for(1000), pytest.raises(BadRecording, match=f"{name}: cannot be written .File too large"):
+        with room_for(1000), pytest.raises(DiskFull, match=f"{name}: cannot be written .File too large"):
             record(scans)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
