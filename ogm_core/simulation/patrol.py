@@ -45,32 +45,29 @@ Indices = NDArray[np.intp]
 Cell = tuple[int, int]
 
 
-def patrol(
-    free: Mask, lattice: Lattice, start: Point | None = None, *, home: Point = (0.0, 0.0)
-) -> WaypointPath:
+def patrol(free: Mask, lattice: Lattice, start: Cell | None = None, home: Cell | None = None) -> WaypointPath:
     """A closed tour of one connected region of `free`, shape (h, w), [iy, ix].
 
-    The region is the one that holds `start`, a point in m, beside which the tour then begins. Without a start
-    it is the one that holds `home`: most robots begin their maps at (0, 0); else the largest that does not
-    touch the map's border, so that what lies around a building is not taken for its inside; else the largest.
-    One that is too small to drive in is passed over.
+    The region is the one that holds the free cell `start`, [iy, ix], beside which the tour then begins.
+    Without one it is that of the cell `home`, if it is free; else the largest that does not touch the map's
+    border, so that what lies around a building is not taken for its inside; else the largest. One that is too
+    small to drive in is passed over.
 
     It keeps 0.3 m clear of all other cells, less if that leaves no room to drive, and never leaves the
     region. Parts of the region behind passages that are too narrow are not visited.
 
     Raises:
-        BadWorld: there is no free space, or too little to drive in, or none at the start.
+        BadWorld: there is no free space, or too little to drive in.
     """
     parts, count = ndimage.label(free)  # joined by their sides
     if not count:
         raise BadWorld("there is no free space to drive in: the map has no free cell")
     if start is not None:
-        cell = _free_cell(parts, lattice, start)
-        path = _tour(parts == parts[cell], lattice, cell)
+        path = _tour(parts == parts[start], lattice, start)
         if path is None:
             raise BadWorld(f"start: the free space there {_TOO_SMALL}")
         return path
-    for number in _parts_in_turn(parts, lattice, home):
+    for number in _parts_in_turn(parts, home):
         path = _tour(parts == number, lattice, None)
         if path is not None:
             return path
@@ -100,24 +97,10 @@ def cells_of_block(resolution: float) -> int:
     return max(1, round(BLOCK / resolution))
 
 
-def _free_cell(parts: Indices, lattice: Lattice, start: Point) -> Cell:
-    """The cell [iy, ix] of a start, which must be free."""
-    height, width = parts.shape
-    (x0, y0), (x1, y1), (x, y) = lattice.anchor, lattice.corner_of(width, height), start
-    where = f"start: ({x:g}, {y:g}) m"
-    if not (x0 <= x < x1 and y0 <= y < y1):
-        raise BadWorld(f"{where} is not on the map, which is x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
-    ix, iy = map(min, lattice.cell_of(x, y), (width - 1, height - 1))  # rounding may lead out
-    if not parts[iy, ix]:
-        raise BadWorld(f"{where} is not free in the map: give a place that is white in its picture")
-    return iy, ix
-
-
-def _parts_in_turn(parts: Indices, lattice: Lattice, home: Point) -> Iterator[int]:
+def _parts_in_turn(parts: Indices, home: Cell | None) -> Iterator[int]:
     """The numbers of the parts, from 1, that are tried one after the other where no start is given."""
-    ix, iy = lattice.cell_of(*home)
-    if 0 <= iy < parts.shape[0] and 0 <= ix < parts.shape[1] and parts[iy, ix]:
-        yield int(parts[iy, ix])
+    if home is not None and parts[home]:
+        yield int(parts[home])
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
     inside = sizes.copy()

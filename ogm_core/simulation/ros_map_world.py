@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ogm_core.errors import BadWorld
 from ogm_core.files.ros_map_reader import RosMap
 from ogm_core.lattice import Lattice
-from ogm_core.simulation.patrol import cells_of_block, patrol
+from ogm_core.simulation.patrol import Cell, cells_of_block, patrol
 from ogm_core.simulation.trajectories import Point, WaypointPath
 from ogm_core.simulation.worlds import MAX_COORDINATE, World
 
@@ -20,8 +20,8 @@ MAX_BLOCKS = 1_000_000
 def world_of_map(ros_map: RosMap, name: str, start: Point | None = None) -> World:
     """The world whose obstacles are the outlines of the map's occupied cells, with a tour of its free space.
 
-    `start`, m, says in which part of that, and beside which point the tour begins: see `patrol`. All of it is
-    turned as the map is.
+    The tour is that of `patrol`: it begins beside `start`, m, or else in the part that holds (0, 0), where
+    most robots begin their maps. All of it is turned as the map is.
 
     Raises:
         BadWorld: there is nothing to see, no room to drive, or none at the start; or the map is too large.
@@ -40,8 +40,8 @@ def world_of_map(ros_map: RosMap, name: str, start: Point | None = None) -> Worl
     segments = outlines(ros_map.occupied, lattice)
     if not len(segments):
         raise BadWorld("the map has no occupied cell: there is nothing for a LiDAR to see")
-    home = _on_the_map((0.0, 0.0), ros_map)
-    path = patrol(ros_map.free, lattice, start and _on_the_map(start, ros_map), home=home)
+    begin = None if start is None else _free_cell(ros_map, lattice, start)
+    path = patrol(ros_map.free, lattice, begin, _cell(ros_map, lattice, (0.0, 0.0)))
     if ros_map.yaw:
         segments = _placed(segments.reshape(-1, 2), ros_map).reshape(-1, 4)
         segments.setflags(write=False)
@@ -59,13 +59,30 @@ def _placed(points: NDArray[np.float64], ros_map: RosMap) -> NDArray[np.float64]
     return turned
 
 
-def _on_the_map(point: Point, ros_map: RosMap) -> Point:
-    """The inverse of `_placed`, of one point in the world."""
-    if not ros_map.yaw:
-        return point
-    c, s = math.cos(ros_map.yaw), math.sin(ros_map.yaw)
-    dx, dy = point[0] - ros_map.origin[0], point[1] - ros_map.origin[1]
-    return c * dx + s * dy, c * dy - s * dx
+def _free_cell(ros_map: RosMap, lattice: Lattice, start: Point) -> Cell:
+    """The cell of a start, which must be free."""
+    cell, where = _cell(ros_map, lattice, start), "start: ({:g}, {:g}) m".format(*start)
+    if cell is None:
+        height, width = ros_map.occupancy.shape
+        corners = np.array([lattice.corner_of(ix, iy) for ix in (0, width) for iy in (0, height)])
+        (x0, y0), (x1, y1) = (end(_placed(corners, ros_map), axis=0) for end in (np.min, np.max))
+        raise BadWorld(f"{where} is not on the map, which is x {x0:g} to {x1:g}, y {y0:g} to {y1:g}")
+    if not ros_map.free[cell]:
+        raise BadWorld(f"{where} is not free in the map: give a place that is white in its picture")
+    return cell
+
+
+def _cell(ros_map: RosMap, lattice: Lattice, point: Point) -> Cell | None:
+    """The map's cell [iy, ix] that holds a point of the world, m; None if none does."""
+    height, width = ros_map.occupancy.shape
+    if max(map(abs, point)) > MAX_COORDINATE:
+        return None
+    if ros_map.yaw:  # the inverse of _placed
+        c, s = math.cos(ros_map.yaw), math.sin(ros_map.yaw)
+        dx, dy = point[0] - ros_map.origin[0], point[1] - ros_map.origin[1]
+        point = c * dx + s * dy, c * dy - s * dx
+    ix, iy = lattice.cell_of(*point)
+    return (iy, ix) if 0 <= ix < width and 0 <= iy < height else None
 
 
 def outlines(occupied: NDArray[np.bool_], lattice: Lattice) -> NDArray[np.float64]:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from ogm_core.errors import BadWorld
-from ogm_core.files.ros_map_reader import read_ros_map
+from ogm_core.files.ros_map_reader import RosMap, read_ros_map
 from ogm_core.lattice import Lattice
 from ogm_core.simulation import patrol as module
 from ogm_core.simulation.patrol import patrol
+from ogm_core.simulation.ros_map_world import world_of_map
 from ogm_core.simulation.trajectories import MAX_POSES
 
 
@@ -103,12 +104,18 @@ def columns(path, lattice):
     return min(found), max(found)
 
 
+def driven(free, lattice, start=None):
+    """The tour through a map of these free cells, where the others are walls."""
+    occupancy = np.where(free, 0, 100).astype(np.int8)
+    return world_of_map(RosMap(occupancy, lattice.resolution, lattice.anchor), "map", start).path
+
+
 def test_the_room_that_holds_the_origin_is_driven_through_be_it_the_smaller_one():
     free = two_rooms()
     in_the_wall = -2.15
     for x, (west, east) in {-1.0: (1, 20), -5.0: (23, 82), in_the_wall: (23, 82)}.items():
         lattice = Lattice(0.1, (x, -2.0))
-        first, last = columns(patrol(free, lattice), lattice)
+        first, last = columns(driven(free, lattice), lattice)
         assert west <= first < last <= east
 
 
@@ -117,10 +124,10 @@ def test_where_the_origin_is_not_free_the_largest_room_inside_is_driven_through_
     free = np.ones((100, 200), np.bool_)
     free[20:80, 20:102] = np.hstack((room(20, 58), room(58, 58)))
     lattice = Lattice(0.1, (50.0, 50.0))
-    first, last = columns(patrol(free, lattice), lattice)
+    first, last = columns(driven(free, lattice), lattice)
     assert 43 <= first < last <= 100
     lattice = Lattice(0.1, (-1.0, -1.0))  # the origin is outside
-    first, last = columns(patrol(free, lattice), lattice)
+    first, last = columns(driven(free, lattice), lattice)
     assert first < 20
     assert last > 102
 
@@ -129,7 +136,7 @@ def test_where_every_room_reaches_the_border_the_largest_is_driven_through():
     free = np.ones((60, 100), np.bool_)
     free[:, 30] = False
     lattice = Lattice(0.1, (50.0, 50.0))
-    first, _ = columns(patrol(free, lattice), lattice)
+    first, _ = columns(driven(free, lattice), lattice)
     assert first > 30
 
 
@@ -139,14 +146,14 @@ def test_a_speck_that_holds_the_origin_is_passed_over():
     free[5, 20] = False
     lattice = Lattice(0.1, (-2.15, -0.55))
     assert lattice.cell_of(0.0, 0.0) == (21, 5)
-    first, _ = columns(patrol(free, lattice), lattice)
+    first, _ = columns(driven(free, lattice), lattice)
     assert first >= 23
 
 
 def test_a_tour_begins_beside_its_start_and_goes_everywhere_in_its_room():
     free, lattice = two_rooms(), Lattice(0.1, (-5.0, -2.0))
     for start in ((-3.6, 1.5), (-4.0, -1.0), (0.05, 0.05), (3.0, 1.5), (3.15, -1.85)):
-        path = patrol(free, lattice, start)
+        path = driven(free, lattice, start)
         assert math.dist(path.points[0], start) <= module.BESIDE_START
         assert min(gap(free, lattice, x, y) for x, y in walk(path, 0.1)) >= 0.3 - 1e-9
         first, last = columns(path, lattice)
@@ -161,8 +168,8 @@ def test_behind_too_narrow_a_door_a_tour_stays_where_it_begins():
     free[:, 20] = False
     free[20:24, 20] = True  # 0.4 m are too few for 0.3 m on either side
     lattice = Lattice(0.1)
-    assert columns(patrol(free, lattice, (1.0, 2.0)), lattice)[1] < 20
-    assert columns(patrol(free, lattice, (5.0, 2.0)), lattice)[0] > 20
+    assert columns(driven(free, lattice, (1.0, 2.0)), lattice)[1] < 20
+    assert columns(driven(free, lattice, (5.0, 2.0)), lattice)[0] > 20
 
 
 def test_from_a_narrow_place_a_tour_keeps_less_clear():
@@ -170,8 +177,8 @@ def test_from_a_narrow_place_a_tour_keeps_less_clear():
     free[5:55, 5:55] = True
     free[28:31, 55:130] = True  # a corridor 0.3 m wide, 7.5 m long
     lattice = Lattice(0.1)
-    assert columns(patrol(free, lattice), lattice)[1] < 55
-    path = patrol(free, lattice, (12.0, 2.95))
+    assert columns(driven(free, lattice), lattice)[1] < 55
+    path = driven(free, lattice, (12.0, 2.95))
     assert math.dist(path.points[0], (12.0, 2.95)) <= module.BESIDE_START
     assert columns(path, lattice)[0] < 15
     assert visited(path, lattice) <= {(ix, iy) for iy, ix in np.argwhere(free).tolist()}
@@ -188,14 +195,14 @@ def test_from_a_narrow_place_a_tour_keeps_less_clear():
 )
 def test_a_start_that_is_none_is_said_so(start, says):
     with pytest.raises(BadWorld, match=says):
-        patrol(two_rooms(), Lattice(0.1, (-5.0, -2.0)), start)
+        driven(two_rooms(), Lattice(0.1, (-5.0, -2.0)), start)
 
 
 def test_a_start_in_a_speck_is_said_so():
     free = np.pad(two_rooms(), ((0, 4), (0, 0)))
     free[-2, 3] = True
     with pytest.raises(BadWorld, match=r"start: the free space there is too small to drive in: 0\.25 m"):
-        patrol(free, Lattice(0.1), (0.35, 4.45))
+        driven(free, Lattice(0.1), (0.35, 4.45))
 
 
 def test_rooms_that_touch_at_a_corner_are_not_joined():
