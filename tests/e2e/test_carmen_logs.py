@@ -80,7 +80,8 @@ def test_a_replay_by_odometry_gives_the_map_of_the_build(module_ogm, carmen_log,
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.endswith("220 scans sent, 220 integrated, not read: 220 RLASER\n")
     assert_equal_maps(mapper.map(), maps["odometry"])
-    assert mapper.status()["poses"] == {"received": 220, "malformed": 0, "late": 0}
+    poses = mapper.status()["poses"]
+    assert {kind: count for kind, count in poses.items() if count} == {"received": 220}
 
 
 def test_what_gives_no_map_is_said_and_nothing_is_written(ogm, carmen_log, lab_recording):
