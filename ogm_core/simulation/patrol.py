@@ -31,6 +31,8 @@ BESIDE_START = 0.75
 """A tour from a start begins at most this far from it, m, or one cell."""
 SPACING = 0.1
 """Between two poses, m; more on a tour of more than `_MAX_STEPS` of them."""
+NICHE = 0.005
+"""A free region of less than this share of the largest is a niche; a race track is more."""
 _MAX_STEPS = 20_000
 _MAX_VISITS = 4_000_000
 """Nodes that shortest paths may visit, all in all; bounds the time."""
@@ -51,7 +53,7 @@ def patrol(free: Mask, lattice: Lattice, start: Cell | None = None, home: Cell |
     The region is the one that holds the free cell `start`, [iy, ix], beside which the tour then begins.
     Without one it is that of the cell `home`, if it is free; else the largest that does not touch the map's
     border, so that what lies around a building is not taken for its inside; else the largest. One that is too
-    small to drive in is passed over.
+    small to drive in is passed over, and so is one inside that is a niche beside the largest.
 
     It keeps 0.3 m clear of all other cells, less if that leaves no room to drive, and never leaves the
     region. Parts of the region behind passages that are too narrow are not visited.
@@ -105,6 +107,7 @@ def _parts_in_turn(parts: Indices, home: Cell | None) -> Iterator[int]:
     sizes[0] = 0
     inside = sizes.copy()
     inside[np.concatenate((parts[[0, -1]].ravel(), parts[:, [0, -1]].ravel()))] = 0
+    inside[inside < NICHE * sizes.max()] = 0
     for kept in (inside, sizes):
         if kept.any():
             yield int(kept.argmax())

@@ -140,6 +140,15 @@ def test_where_every_room_reaches_the_border_the_largest_is_driven_through():
     assert first > 30
 
 
+def test_a_niche_is_not_driven_through_because_the_building_reaches_the_border():
+    free = np.ones((150, 300), np.bool_)
+    free[40:60, 40:60] = room(18, 18)
+    far = Lattice(0.1, (50.0, 50.0))
+    assert columns(driven(free, far), far)[0] > 40, "3.2 m2 are a room beside 450 m2"
+    free = np.pad(free, 100, constant_values=True)
+    assert columns(driven(free, far), far)[0] < 100, "and a niche beside 1750 m2"
+
+
 def test_a_speck_that_holds_the_origin_is_passed_over():
     free = two_rooms()
     free[5, 21] = True  # in the wall between the rooms, which is two cells thick

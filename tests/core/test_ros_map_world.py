@@ -8,7 +8,7 @@ import pytest
 
 from ogm_core.cells.classes import trinary
 from ogm_core.errors import BadMapFile, BadWorld
-from ogm_core.files.ros_map_reader import read_ros_map
+from ogm_core.files.ros_map_reader import RosMap, read_ros_map
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -16,7 +16,7 @@ from ogm_core.lattice import Lattice
 from ogm_core.simulation import ros_map_world as map_world
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure, true_ranges
-from ogm_core.simulation.ros_map_world import outlines
+from ogm_core.simulation.ros_map_world import outlines, world_of_map
 from ogm_core.simulation.worlds import dump_world, load_world
 from ogm_core.types import Pose, Scan
 
@@ -195,10 +195,26 @@ def test_its_robot_stays_in_the_hall(tmp_path):
 def test_its_robot_begins_where_it_is_told_to(tmp_path):
     path = str(write_map(tmp_path, hall(), origin=(-3.5, -2.5)))
     for start in ((2.5, 1.5), (-2.5, -1.5)):
-        x, y, _ = world_named(path, start).path.pose(0)
+        x, y, _ = world_named(path, start=start).path.pose(0)
         assert np.hypot(x - start[0], y - start[1]) < 0.75
     with pytest.raises(BadWorld, match=r"world '.*map.yaml': start: \(9, 0\) m is not on the map"):
-        world_named(path, (9.0, 0.0))
+        world_named(path, start=(9.0, 0.0))
+
+
+def test_start_and_origin_of_a_turned_map_are_the_worlds():
+    """Two rooms of 4 x 4 m, one north of the other; turned by a quarter the northern one lies in the west."""
+    free = np.pad(np.ones((40, 40), np.bool_), 1)
+    occupancy = np.where(np.vstack((free, free)), 0, 100).astype(np.int8)
+    rooms = {5.0: (-3.4, 0.8), 2.0: (-2.2, 2.0)}  # by the x from which the map reaches west: that with (0, 0)
+    for corner, (west, east) in rooms.items():
+        turned = RosMap(occupancy, 0.1, (corner, -2.0), np.pi / 2)
+        path = world_of_map(turned, "map").path
+        assert all(west < path.pose(i).x < east for i in range(path.count))
+        for start in ((corner - 2.0, 0.0), (corner - 6.0, 1.0)):
+            pose = world_of_map(turned, "map", start).path.pose(0)
+            assert np.hypot(pose.x - start[0], pose.y - start[1]) < 0.75
+        with pytest.raises(BadWorld, match=r"is not on the map, which is x .* to .*, y -2 to 2\.2"):
+            world_of_map(turned, "map", (corner + 1.0, 0.0))
 
 
 def test_worlds_with_a_path_of_their_own_take_no_start(tmp_path):
@@ -207,7 +223,7 @@ def test_worlds_with_a_path_of_their_own_take_no_start(tmp_path):
     for name, called in (("office", "office"), (str(path), "hall")):
         said = rf"start: it is for ROS maps; the world {called} has a path of its own"
         with pytest.raises(BadWorld, match=said):
-            world_named(name, (0.0, 0.0))
+            world_named(name, start=(0.0, 0.0))
 
 
 def test_the_world_of_a_map_survives_as_a_world_file(tmp_path):
