@@ -12,7 +12,7 @@ from typing import Self
 
 from numpy.typing import ArrayLike
 
-from ogm_core.errors import BadRecording
+from ogm_core.errors import BadRecording, DiskFull
 from ogm_core.logs.jsonl_writer import jsonl_file
 from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan
 from ogm_core.wire.keys import check_name
@@ -70,7 +70,7 @@ class RecordingWriter:
             BadMessage: a value is of the wrong type, or not finite; nothing is written.
             BadSetting: `robot` cannot stand in a key.
             BadRecording: the writer is closed, or the file cannot be written.
-            DiskFull: there is no room for it.
+            DiskFull: there is no room for it; what had its name before is still there.
         """
         name, pose = self._named(robot), pose_of((x, y, theta), "pose")
         with self._lock:
@@ -106,7 +106,7 @@ class RecordingWriter:
             BadMessage: a value is of the wrong type or out of range; nothing is written.
             BadSetting: `sensor` or `robot` cannot stand in a key.
             BadRecording: the writer is closed, or the file cannot be written.
-            DiskFull: there is no room for it.
+            DiskFull: there is no room for it; what had its name before is still there.
         """
         name, source = self._named(robot), check_name(sensor, "sensor")
         with self._lock:
@@ -153,7 +153,7 @@ class RecordingWriter:
             raise BadRecording(f"{self.path}: the recording is closed")
         try:
             self._put(recorded)
-        except OSError as error:
+        except (BadRecording, DiskFull) as error:
             self._closed = True
             # With the error on its way what was written is no recording, and does not take the name of one.
             self._open.__exit__(type(error), error, error.__traceback__)

@@ -184,6 +184,23 @@ def test_a_full_disk_leaves_what_was_there_before(tmp_path, name):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_was_cut_off_by_a_full_disk_is_no_recording_when_there_is_room_again(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(b"before")
+    recording = RecordingWriter(path)
+
+    def fill_the_disk():
+        for _ in range(200):
+            recording.write_scan([1.5] * 400, **LIDAR)
+
+    with room_for(1000), pytest.raises(DiskFull):
+        fill_the_disk()
+    with pytest.raises(BadRecording, match="the recording is closed"):
+        recording.write_scan([1.5], **LIDAR)
+    recording.close()
+    assert path.read_bytes() == b"before"
+
+
 def test_threads_may_write_at_once(tmp_path):
     path = tmp_path / "log.jsonl"
     with RecordingWriter(path) as recording:
