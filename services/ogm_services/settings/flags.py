@@ -153,7 +153,10 @@ class ClientFlags(_SettingFlags):
     section = "network"
 
     map_name: Annotated[
-        str | None, _setting("network", "map_name", "NAME", "Name of the map; over HTTP it says itself")
+        str | None,
+        _setting(
+            "network", "map_name", "NAME", "Name of the map; without it, over HTTP, whichever is served"
+        ),
     ] = None
     zenoh_config: Annotated[
         str | None, _setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
