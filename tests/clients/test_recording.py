@@ -15,6 +15,7 @@ from ogm_core.logs.recordings import RecordingReader
 from ogm_core.types import Pose
 
 LIDAR = {"angle_min": -1.0, "angle_increment": 0.5, "range_min": 0.1, "range_max": 8.0}
+FINE = LIDAR | {"angle_increment": 0.01}
 
 
 def read(path):
@@ -175,7 +176,7 @@ def test_a_full_disk_leaves_what_was_there_before(tmp_path, name):
     def record(scans):
         with RecordingWriter(path) as recording:
             for _ in range(scans):
-                recording.write_scan(rng.random(400), **LIDAR)
+                recording.write_scan(rng.random(400), **FINE)
 
     for scans in (2, 200):  # the room ends when the file is closed, or while it is written
         with room_for(1000), pytest.raises(DiskFull, match=f"{name}: cannot be written .File too large"):
@@ -207,7 +208,7 @@ def test_threads_may_write_at_once(tmp_path):
 
         def write():
             for _ in range(100):
-                recording.write_scan([1] * 50, **LIDAR)
+                recording.write_scan([1] * 50, **FINE)
 
         threads = [threading.Thread(target=write) for _ in range(4)]
         for thread in threads:
