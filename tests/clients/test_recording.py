@@ -192,7 +192,7 @@ def test_what_was_cut_off_by_a_full_disk_is_no_recording_when_there_is_room_agai
 
     def fill_the_disk():
         for _ in range(200):
-            recording.write_scan([1.5] * 400, **LIDAR)
+            recording.write_scan([1.5] * 400, **FINE)
 
     with room_for(1000), pytest.raises(DiskFull):
         fill_the_disk()
