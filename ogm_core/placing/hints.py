@@ -21,14 +21,13 @@ _BEYOND_SHARE = 0.05
 _EMPTY_SHARE = 0.5
 _AGREEING_SHARE = 0.1
 _WIDE = math.radians(5.0)
-_FASTEST_NS = 200_000
-"""No 2D LiDAR makes more than 5,000 scans a second."""
+_FASTEST_NS = 1_000_000
+"""No 2D LiDAR makes more than 1,000 scans a second, and few less than one: its stamps in us are nearer."""
 _UNITS = (("s", 10**9), ("ms", 10**12), ("us", 10**15))
 """Stamps of our days, in these units, begin with these numbers, and end at 2.2 times them."""
 
 Agreement = Callable[[Scan, Pose], tuple[int, int]]
-"""Of some hits of a placed scan: how many end in cells that are more likely occupied than not, and how "
-"many."""
+"""Of some hits of a placed scan: how many end in cells with p > 0.5, and how many were judged."""
 Tell = Callable[[str, str], None]
 """Told of a hint's name, and of what to do."""
 
@@ -99,9 +98,8 @@ class Hints:
             seen.told.add("ignore_no_return")
             tell(
                 "ignore_no_return",
-                f"{seen.empty / seen.beams:.0%} of its beams have no return, and where the others end the "
-                "map "
-                "has no wall: if this sensor says inf for an invalid reading, set ignore_no_return for it",
+                f"{seen.empty / seen.beams:.0%} of its beams have no return, and where the others end "
+                "the map has no wall: if it says inf for an invalid reading, set ignore_no_return for it",
             )
 
     def _found(self, seen: _Seen, scan: Scan) -> list[tuple[str, str]]:
@@ -129,12 +127,10 @@ _SECTOR = (
 )
 _RANGE_MAX = (
     "its range_max differs from scan to scan, and readings near range_max count as no return, so walls are "
-    "erased: "
-    "set range_max for it to what the sensor can reach"
+    "erased: set range_max for it to what the sensor can reach"
 )
 _BEYOND = (
     "{:.0%} of its finite ranges are above its range_max of {:g} m, and are skipped: if they mean that "
-    "nothing was "
-    "there, set beyond to clear for it"
+    "nothing was there, set beyond to clear for it"
 )
 _STAMP = "its stamps look like {} since 1970: ns are needed"

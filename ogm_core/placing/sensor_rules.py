@@ -14,6 +14,9 @@ ROUNDING = 1.0 + 1e-6
 """A float32 may be so much more than the `range_max` that it was rounded from."""
 MAX_SOURCES = 1000
 """Sources whose rules are remembered; to look them up anew does no harm."""
+MAX_TIME_OFFSET = 4e9
+"""s; more than from the Unix epoch to our days, for a clock that was never set."""
+_LAST_STAMP = 2**63 - 1
 
 Beyond = Literal["skip", "clear"]
 
@@ -22,8 +25,9 @@ Beyond = Literal["skip", "clear"]
 class SensorRule:
     """What holds for the scans of the sources that `match`, a glob on `<robot>/<sensor>`; None: as they say.
 
-    `time_offset`: s, added to the stamp. `range_min`, `range_max`: m, in place of the scan's. `beyond`: a
-    finite range above range_max is no reading ("skip"), or means that nothing was there ("clear").
+    `time_offset`: s, added to the stamp; at most 4e9 either way. `range_min`, `range_max`: m, in place of
+    the scan's. `beyond`: a finite range above range_max is no reading ("skip"), or means that nothing was
+    there ("clear").
     `clear_range`, `reach`: m, in place of the map's. `ignore_no_return`: beams without return say nothing.
     `deskew`: False takes the whole scan at its stamp. `mount`: the sensor's pose in the base frame.
     `upside_down`: the bearings run the other way.
@@ -90,6 +94,8 @@ def _read(scan: Scan, rule: SensorRule) -> Scan:
     }
     if rule.time_offset is not None:
         changed["stamp"] = scan.stamp + round(rule.time_offset * 1e9)
+        if changed["stamp"] > _LAST_STAMP:
+            raise BadMessage(f"stamp: with the time_offset of the settings of sensors past {_LAST_STAMP} ns")
     if rule.deskew is False:
         changed["time_increment"] = 0.0
     if rule.upside_down:

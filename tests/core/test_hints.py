@@ -54,6 +54,11 @@ def test_stamps_in_other_units(unit, hinted):
     assert told(scan(stamp=DAY * unit + n * unit // 20) for n in range(60)) == ["stamp"] * hinted
 
 
+@pytest.mark.parametrize("hertz", [2, 20, 2000])
+def test_stamps_in_microseconds_at_any_rate(hertz):
+    assert told(scan(stamp=DAY * 10**6 + n * 10**6 // hertz) for n in range(60)) == ["stamp"]
+
+
 def test_simulated_time_is_none_of_our_days():
     for start in (0, 10**9, 16 * 60 * 10**9, 11 * 86_400 * 10**9):
         assert told(scan(stamp=start + n * 50_000_000) for n in range(60)) == []

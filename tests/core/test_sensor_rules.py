@@ -95,3 +95,9 @@ def test_a_range_min_that_is_not_below_the_scans_range_max_is_an_error():
         BadMessage, match=r"range_min: by the settings of sensors 9 m, not below range_max = 8 m"
     ):
         read(scan(), range_min=9.0)
+
+
+def test_a_stamp_that_an_offset_moves_past_the_end_of_time_is_an_error():
+    assert read(scan(stamp=2**63 - 1), time_offset=-1.0).stamp == 2**63 - 1 - 10**9
+    with pytest.raises(BadMessage, match="stamp: with the time_offset of the settings of sensors past"):
+        read(scan(stamp=2**63 - 1), time_offset=1.0)

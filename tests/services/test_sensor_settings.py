@@ -81,6 +81,8 @@ def test_settings_written_as_a_file_are_read_back(loaded):
         ("sensors: [{match: a, range_min: -1}]", "sensors.range_min"),
         ("sensors: [{match: a, reach: true}]", "sensors.reach: a number is needed, got True"),
         ("sensors: [{match: a, time_offset: .inf}]", "sensors.time_offset: .*finite"),
+        ("sensors: [{match: a, time_offset: 5.0e+9}]", "sensors.time_offset: .*4000000000.*got 5000000000"),
+        ("sensors: [{match: a, time_offset: -5.0e+9}]", "sensors.time_offset: .*-4000000000.*got -5"),
         ("sensors: [{match: a, upside_down: 1}]", "sensors.upside_down: true or false is needed, got 1"),
         ("sensors: [{match: a, beyond: clip}]", "sensors.beyond: .*'skip' or 'clear'"),
         ("sensors: [{match: a, mount: [1, 2]}]", r"sensors.mount: three finite numbers"),

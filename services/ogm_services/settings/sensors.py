@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ogm_core.errors import BadSetting
-from ogm_core.placing.sensor_rules import Beyond, SensorRule
+from ogm_core.placing.sensor_rules import MAX_TIME_OFFSET, Beyond, SensorRule
 from ogm_core.types import Pose
 from ogm_core.wire.messages import MAX_RANGE
 from ogm_services.settings.values import Finite, NotNegative, Positive, parse_pose
@@ -32,6 +32,7 @@ def _number(value: object) -> object:
 
 Switch = Annotated[bool | None, BeforeValidator(_switch)]
 Range = Annotated[NotNegative, Field(le=MAX_RANGE), BeforeValidator(_number)]
+Offset = Annotated[Finite, Field(ge=-MAX_TIME_OFFSET, le=MAX_TIME_OFFSET), BeforeValidator(_number)]
 Mount = Annotated[Pose, BeforeValidator(parse_pose)]
 
 
@@ -41,7 +42,7 @@ class SensorSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     match: Annotated[str, Field(min_length=1)]
-    time_offset: Annotated[Finite | None, BeforeValidator(_number)] = None
+    time_offset: Offset | None = None
     range_min: Range | None = None
     range_max: Range | None = None
     beyond: Beyond | None = None
