@@ -117,9 +117,9 @@ def test_a_mapper_is_filled_and_followed():
     with mapper("--preset", "lab") as running, MapClient(running.endpoint) as client:
         assert handled(client, "any") == 0
         map_scans(running, work.scans)
-        (robot,) = client.status()["robots"].values()
-        assert handled(client, robot["sources"]["laser"]["run"]) == len(work.scans)
-        assert client.status()["scans"]["integrated"] == len(work.scans)
+        (robot,) = client.status().robots.values()
+        assert handled(client, robot.sources["laser"].run) == len(work.scans)
+        assert client.status().scans.integrated == len(work.scans)
 
 
 def test_a_program_that_ends_without_its_line_is_told():

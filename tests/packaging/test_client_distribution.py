@@ -214,7 +214,11 @@ ALONE = """
 import sys
 from ogm_client import ClientError, MapClient, RobotPublisher
 endpoint, url = sys.argv[1:]
-asks = lambda: RobotPublisher("r", address=endpoint), lambda: MapClient(endpoint), MapClient(url).get_map
+asks = (
+    lambda: RobotPublisher("r", address=endpoint, wait=False),
+    lambda: MapClient(endpoint),
+    MapClient(url).get_map,
+)
 for ask in asks:
     try:
         ask()

@@ -46,7 +46,11 @@ BAD_SCANS = [
     *({"time_increment": value} for value in NOT_A_NUMBER[1:]),
     *({"run": value} for value in (None, 1, b"a", ["a"])),
     *({"ranges": value} for value in (..., None, [1.0], "1234", 1.0, b"", b"123", b"12345")),
-    *({"angle_increment": 0}, {"angle_increment": 1e308, "ranges": bytes(4000)}, {"time_increment": 1e308}),
+    *(
+        {"angle_increment": 0, "ranges": bytes(8)},
+        {"angle_increment": 1e308, "ranges": bytes(4000)},
+        {"time_increment": 1e308},
+    ),
     *(
         {"range_min": -1e-9},
         {"range_min": 8.0},
@@ -128,7 +132,10 @@ def test_what_is_too_long_for_its_kind_is_counted_and_not_even_copied(
         queue_put = mapper.service._queue.put
         monkeypatch.setattr(mapper.service._queue, "put", lambda item: put.append(item) or queue_put(item))
         for longer in (0, 1, 5_000_000):
-            mapper.put("robots/r/scan/s", padded(fields.scan([1.0] * 1000, pose=HERE), 8096 + longer))
+            mapper.put(
+                "robots/r/scan/s",
+                padded(fields.scan([1.0] * 1000, pose=HERE, angle_increment=0.001), 8096 + longer),
+            )
             mapper.put("robots/r/pose", padded(fields.pose(x=1.5), 1024 + longer))
         eventually(lambda: mapper.status()["poses"]["received"] == 3)  # the last that was sent
         status = mapper.settle(received=3)
