@@ -11,7 +11,7 @@ OgmError
 +-- ScanRefused           a well-formed scan is not integrated
 |   +-- NoPose            its robot's poses do not tell where it was taken
 |   +-- Stale             it lies before the robot's oldest kept pose
-|   +-- LimitReached      it would stretch the map past its limits
+|   +-- LimitReached      it would stretch the map past its limits; so would a map to start with
 |   +-- OutsideBounds     every beam leaves bounds that drop such beams
 +-- DiskFull              there is no room for a file that is to be written
 +-- MapEmpty              there is no known cell to draw
@@ -71,6 +71,11 @@ class ScanRefused(OgmError):
     """A well-formed scan is not integrated; the slug is the reason that it is counted under."""
 
     slug = "refused"
+
+    def __init__(self, text: str, kind: str | None = None) -> None:
+        """`kind`: in which of its ways it is refused; refusals of one kind are told together."""
+        super().__init__(text)
+        self.kind = kind or self.slug
 
 
 class NoPose(ScanRefused):

@@ -35,6 +35,15 @@ class Pose(NamedTuple):
 IDENTITY = Pose(0.0, 0.0, 0.0)
 
 
+def shorter_arc(start: float, end: float) -> float:
+    """The shorter turn from one heading to another, both finite, rad."""
+    turn = end - start
+    if not math.isfinite(turn):
+        # Two finite headings may differ by more than float64 holds; whole turns do not count.
+        turn = math.remainder(end, math.tau) - math.remainder(start, math.tau)
+    return math.remainder(turn, math.tau)
+
+
 @dataclass(frozen=True, slots=True)
 class PoseStamped:
     """Pose of a robot's base in the map frame at a time.

@@ -39,12 +39,7 @@ class Placing:
         return self
 
     def token(self, kind, run):
-        known = [self.owner] + [source["run"] for source in self.sources.values()]
-        self.gone = {one for one in self.gone if one in known}
-        if kind == "here":
-            self.gone.discard(run)
-        elif run in known:
-            self.gone.add(run)
+        self.gone = self.gone - {run} if kind == "here" else self.gone | {run}
 
     def reaches(self, a, b):
         dt = abs(b[0] - a[0]) / 1e9
@@ -144,9 +139,7 @@ class Placing:
             return
         first_of_all, seqs = not source["seen"], [s for r, s in source["seen"] if r == run]
         source["seen"].append((run, seq))
-        if (run in self.replaced and self.owner not in self.gone) or (
-            run in source["replaced"] and source["run"] not in self.gone
-        ):
+        if run in self.replaced or (run in source["replaced"] and source["run"] not in self.gone):
             self.dropped[self.number] = "superseded"
             return
         if source["run"] is not None and run != source["run"]:

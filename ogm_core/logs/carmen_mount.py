@@ -13,8 +13,7 @@ from collections.abc import Iterable
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.logs.carmen import CarmenLog
 from ogm_core.logs.carmen_lines import LaserLine
-from ogm_core.placing.pose_history import shorter_arc
-from ogm_core.types import IDENTITY, Pose, PoseStamped
+from ogm_core.types import IDENTITY, Pose, PoseStamped, shorter_arc
 
 SAME_M = 0.01
 SAME_RAD = 0.01

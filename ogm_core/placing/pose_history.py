@@ -3,13 +3,15 @@
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.errors import NoPose
-from ogm_core.types import IDENTITY, Pose, Scan, Sweep
+from ogm_core.placing import reasons
+from ogm_core.placing.reasons import Reason
+from ogm_core.placing.rules import POSE_GAP
+from ogm_core.types import IDENTITY, Pose, Scan, Sweep, shorter_arc
 
 CAPACITY = 1024
 """So many poses are kept at least, whatever their stamps."""
@@ -17,8 +19,6 @@ SPAN_NS = 60_000_000_000
 """Older poses than that are forgotten once there are more than CAPACITY."""
 MAX_KEPT = 65_536
 """So many are kept at most."""
-POSE_GAP = 0.5
-"""Poses farther apart than that, s, say nothing about the time between them, unless told otherwise."""
 _NEAR_M = 0.01
 _NEAR_RAD = math.radians(0.5)
 
@@ -30,13 +30,11 @@ class PoseHistory:
     unless the two are nearly equal. Nor is anything said by a pose whose stamp is ambiguous.
     """
 
-    def __init__(self, gap_ns: float = POSE_GAP * 1e9, entries: Iterable[tuple[int, Pose]] = ()) -> None:
+    def __init__(self, gap_ns: float = POSE_GAP * 1e9) -> None:
         self._gap_ns = gap_ns
         self._stamps: deque[int] = deque()
         self._poses: deque[Pose] = deque()
         self._ambiguous: set[int] = set()
-        for stamp, pose in entries:
-            self.append(stamp, pose)
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -80,15 +78,15 @@ class PoseHistory:
         stamps = self._stamps
         after = bisect_left(stamps, stamp)
         if after == len(stamps) or (after == 0 and stamps[0] != stamp):
-            raise NoPose(_BEYOND)
+            raise _no_pose(reasons.BEYOND)
         t1, p1 = stamps[after], self._poses[after]
         if t1 == stamp:
             if stamp in self._ambiguous:
-                raise NoPose(_AMBIGUOUS)
+                raise _no_pose(reasons.AMBIGUOUS)
             return p1
         t0, p0 = stamps[after - 1], self._poses[after - 1]
         if (why_not := self._gap_between(t0, p0, t1, p1)) is not None:
-            raise NoPose(why_not)
+            raise _no_pose(why_not)
         f = (stamp - t0) / (t1 - t0)
         return Pose(
             p0.x + f * (p1.x - p0.x), p0.y + f * (p1.y - p0.y), p0.theta + f * shorter_arc(p0.theta, p1.theta)
@@ -102,22 +100,18 @@ class PoseHistory:
         """
         first, last = sorted((scan.stamp, scan.end_stamp))
         if not self._stamps or first < self._stamps[0] or last > self._stamps[-1]:
-            raise NoPose(_BEYOND)
+            raise _no_pose(reasons.BEYOND)
         middle = self.at(scan.stamp + (scan.end_stamp - scan.stamp) // 2)
         base = self._at_each(scan.stamp, np.rint(np.arange(scan.ranges.size) * scan.time_increment * 1e9))
         return Sweep(middle.compose(scan.mount), _composed(base, scan.mount))
 
-    def _gap_between(self, t0: int, p0: Pose, t1: int, p1: Pose) -> str | None:
+    def _gap_between(self, t0: int, p0: Pose, t1: int, p1: Pose) -> Reason | None:
         """Why nothing is said of the time between two neighbours; None if they are joined."""
         if self._ambiguous and not self._ambiguous.isdisjoint((t0, t1)):
-            return _AMBIGUOUS
+            return reasons.AMBIGUOUS
         if t1 - t0 <= self._gap_ns or nearly_equal(p0, p1):
             return None
-        return (
-            f"it lies between two poses {(t1 - t0) / 1e9:g} s apart, and mapper.pose_gap is "
-            f"{self._gap_ns / 1e9:g} s: publish poses more often, or raise mapper.pose_gap if the robot "
-            "drives straight on between two poses"
-        )
+        return reasons.gap(t1 - t0, self._gap_ns)
 
     def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses, shape (N, 3), at `after` ns after `stamp`: times between the oldest and the newest pose."""
@@ -145,11 +139,8 @@ class PoseHistory:
         return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
 
 
-_BEYOND = "its beams reach beyond the robot's poses that are kept"
-_AMBIGUOUS = (
-    "a pose beside it has the stamp of another, different pose, so nobody knows which one holds: give "
-    "every pose the time at which it was true, in ns"
-)
+def _no_pose(reason: Reason) -> NoPose:
+    return NoPose(reason.text, reason.kind)
 
 
 def nearly_equal(one: Pose, other: Pose) -> bool:
@@ -158,15 +149,6 @@ def nearly_equal(one: Pose, other: Pose) -> bool:
         math.hypot(other.x - one.x, other.y - one.y) <= _NEAR_M
         and abs(shorter_arc(one.theta, other.theta)) <= _NEAR_RAD
     )
-
-
-def shorter_arc(start: float, end: float) -> float:
-    """The shorter turn from one heading to another, both finite, rad."""
-    turn = end - start
-    if not math.isfinite(turn):
-        # Two finite headings may differ by more than float64 holds; whole turns do not count.
-        turn = math.remainder(end, math.tau) - math.remainder(start, math.tau)
-    return math.remainder(turn, math.tau)
 
 
 def _composed(base: NDArray[np.float64], mount: Pose) -> NDArray[np.float64]:

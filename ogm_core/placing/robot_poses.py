@@ -6,11 +6,12 @@ wrong: what can be believed then is decided here, pose by pose, so that no scan 
 that do not belong together.
 """
 
-import math
 from collections import deque
 from typing import NamedTuple
 
-from ogm_core.placing.pose_history import PoseHistory, nearly_equal, shorter_arc
+from ogm_core.placing import reasons
+from ogm_core.placing.pose_history import PoseHistory, nearly_equal
+from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import PoseNote
 from ogm_core.placing.rules import JITTER_NS, PlacingRules, remember
 from ogm_core.types import Pose, PoseStamped
@@ -19,6 +20,7 @@ LATE_IN_A_ROW = 5
 """So many late poses in a row, each later than the one before, are a clock that went back."""
 _RECENT = 5
 """More than one outlier among so many poses: two publishers?"""
+_OTHER_CLOCK = "the clock of one of its sensors had gone back"
 
 
 class Verdict(NamedTuple):
@@ -26,16 +28,14 @@ class Verdict(NamedTuple):
 
     taken: bool
     """Whether it is believed: scans that wait may be placed now."""
-    began: str | None = None
-    """Why a new history has begun, in words that end the sentence "it waited when ..."; None if none has."""
-    new_owner: bool = False
-    """Whether that is because another run owns the robot now."""
     note: PoseNote | None = None
     """What to count it as, beside received."""
-    kind: str = ""
-    """Which kind of trouble `said` is about; "" if there is none."""
-    said: str = ""
-    """What a user should know."""
+    reason: Reason | None = None
+    """What a user should know; None if there is nothing."""
+    began: str | None = None
+    """Why a new history has begun with it, in words; None if none has."""
+    new_owner: bool = False
+    """Whether that is because another run owns the robot now."""
 
 
 _BELIEVED = Verdict(True)
@@ -52,10 +52,9 @@ class RobotPoses:
         """Runs that owned the robot before, the one heard last at the end."""
         self.histories = 0
         """How many histories have begun."""
-        self._history = PoseHistory()
+        self._history = PoseHistory(rules.pose_gap * 1e9)
         self._provisional: tuple[int, Pose] | None = None
-        """A pose that no robot reaches from the one before it, until the next pose tells which one was "
-        "wrong."""
+        """A pose where no robot gets from the one before it, until the next one tells which was wrong."""
         self._doubted = False
         """Whether the provisional pose's stamp is ambiguous."""
         self._last_seq = 0
@@ -79,22 +78,29 @@ class RobotPoses:
         `anew`: the clock of one of the robot's sensors went back, so a new history begins with the next pose.
         `released`: whether the owner is known to be gone, so that a run that it has replaced may own again.
         """
-        if message.run != self.owner:
-            if message.run in self.replaced and not released:
-                remember(self.replaced, message.run)
-                return Verdict(False, note="superseded", kind="superseded", said=self._replaced(message.run))
+        run, owner = message.run, self.owner
+        if run != owner:
+            if run in self.replaced and not released:
+                remember(self.replaced, run)
+                return Verdict(False, "superseded", reasons.superseded_pose(run, owner or ""))
             return self._change_owner(message)
         newest = self.newest
         assert newest is not None  # an owner has sent a pose
         if message.stamp < newest:
-            return self._earlier(message, newest)
+            return self._earlier(message, newest - message.stamp)
         if message.stamp == newest:
             return self._again(message, anew)
         self._late.clear()
         self._last_seq = message.seq
-        if anew:
-            return self._begin(message, "the clock of one of its sensors had gone back")
-        return self._later(message)
+        return self._begin(message, _OTHER_CLOCK) if anew else self._later(message)
+
+    def _change_owner(self, message: PoseStamped) -> Verdict:
+        if message.run in self.replaced:
+            self.replaced.remove(message.run)
+        if self.owner is not None:
+            remember(self.replaced, self.owner)
+        self.owner, self._last_seq = message.run, message.seq
+        return self._begin(message, "another run began to publish them")._replace(new_owner=True)
 
     def _later(self, message: PoseStamped) -> Verdict:
         """The rules of a pose that is later than the newest one."""
@@ -105,85 +111,54 @@ class RobotPoses:
             self._outliers.append(False)
             if from_before:
                 history.append(stamp, pose)
-                return _BELIEVED
-            self._provisional, self._doubted = (stamp, pose), False
+            else:
+                self._provisional, self._doubted = (stamp, pose), False
             return _BELIEVED
         odd_stamp, odd = self._provisional
         from_odd = self._rules.reachable(stamp - odd_stamp, odd, pose)
-        how = _jump(history.newest, history.newest_pose, odd_stamp, odd)
-        if from_odd and from_before:
-            return self._begin(
-                message, f"its poses had jumped ({how})", kind="jump", said=_JUMPED.format(how)
-            )
+        way = reasons.way_between(history.newest, history.newest_pose, odd_stamp, odd)
         if from_odd:
-            return self._begin(
-                message, f"its poses had jumped ({how})", kind="jump", said=_JUMPED.format(how), keep=True
-            )
+            # From both: nobody knows which of the two was wrong.
+            began = self._begin(message, f"its poses had jumped ({way})", keep=not from_before)
+            return began._replace(reason=reasons.jumped(way))
         self._outliers.append(True)
         if from_before:
-            self._history.append(stamp, pose)
+            history.append(stamp, pose)
             self._provisional = None
         else:
             self._provisional, self._doubted = (stamp, pose), False
-        return Verdict(True, note="outlier", kind="outlier", said=self._wrong(how))
+        wrong = reasons.contradiction if sum(self._outliers) > 1 else reasons.outlier
+        return Verdict(True, "outlier", wrong(way))
 
-    def _earlier(self, message: PoseStamped, newest: int) -> Verdict:
+    def _earlier(self, message: PoseStamped, by_ns: int) -> Verdict:
         """The rules of a pose that is earlier than the newest one."""
-        back = (newest - message.stamp) / 1e9
         numbered = message.run != "" and not message.seq == self._last_seq == 0
-        went_back = newest - message.stamp > JITTER_NS and (not numbered or message.seq > self._last_seq)
+        went_back = by_ns > JITTER_NS and (not numbered or message.seq > self._last_seq)
         if not went_back:
             if self._late and message.stamp <= self._late[-1]:
                 self._late.clear()
             self._late.append(message.stamp)
             if len(self._late) < LATE_IN_A_ROW:
-                said = f"a pose is {back:g} s earlier than the one before it, and is not used"
-                return Verdict(False, note="late", kind="late", said=said)
+                return Verdict(False, "late", reasons.late(by_ns))
         self._last_seq = message.seq
-        said = (
-            f"the clock of its poses went back by {back:g} s: a new history of poses begins, scans of the "
-            "time before are placed no more. If no clock was set and no simulation restarted, give each "
-            "publisher a name of its own"
-        )
-        return self._begin(message, "the clock of its poses had gone back", "restarted", "restarted", said)
+        began = self._begin(message, "the clock of its poses had gone back")
+        return began._replace(note="restarted", reason=reasons.clock_went_back(by_ns))
 
     def _again(self, message: PoseStamped, anew: bool) -> Verdict:
         """The rules of a pose that has the stamp of the newest one."""
         newest = self._history.newest_pose if self._provisional is None else self._provisional[1]
         if nearly_equal(newest, message.pose):
-            return Verdict(False, note="late", kind="late", said="a pose has the stamp of the one before it")
+            return Verdict(False, "late", reasons.REPEATED_POSE)
         self._last_seq = message.seq
         if anew:
-            return self._begin(message, "the clock of one of its sensors had gone back")
+            return self._begin(message, _OTHER_CLOCK)
         if self._provisional is None:
             self._history.doubt(message.stamp)
         else:
             self._doubted = True
-        said = (
-            f"two different poses have the stamp {message.stamp}, so no scan is placed beside them: stamps "
-            "repeat. Give every pose the time at which it was true, in ns (are they whole seconds, or "
-            "never set?)"
-        )
-        return Verdict(True, note="ambiguous", kind="ambiguous", said=said)
+        return Verdict(True, "ambiguous", reasons.ambiguous(message.stamp))
 
-    def _change_owner(self, message: PoseStamped) -> Verdict:
-        if message.run in self.replaced:
-            self.replaced.remove(message.run)
-        if self.owner is not None:
-            remember(self.replaced, self.owner)
-        self.owner, self._last_seq = message.run, message.seq
-        return self._begin(message, "another run of its publisher began")._replace(new_owner=True)
-
-    def _begin(
-        self,
-        message: PoseStamped,
-        began: str,
-        note: PoseNote | None = None,
-        kind: str = "",
-        said: str = "",
-        *,
-        keep: bool = False,
-    ) -> Verdict:
+    def _begin(self, message: PoseStamped, why: str, *, keep: bool = False) -> Verdict:
         """Begin a new history with a pose; `keep`: with the provisional one before it."""
         self._history = PoseHistory(self._rules.pose_gap * 1e9)
         if keep and self._provisional is not None:
@@ -195,27 +170,4 @@ class RobotPoses:
         self._late.clear()
         self._outliers.clear()
         self.histories += 1
-        return Verdict(True, began, note=note, kind=kind, said=said)
-
-    def _replaced(self, run: str) -> str:
-        return (
-            f"poses of run {run!r} are refused, because run {self.owner!r} has replaced it: two publishers "
-            "under one name? Give every robot a name of its own"
-        )
-
-    def _wrong(self, how: str) -> str:
-        if sum(self._outliers) > 1:
-            return f"poses contradict each other ({how}): {_TWO}"
-        return f"a pose is dropped, no robot gets there ({how}; see mapper.max_speed, mapper.max_turn_rate)"
-
-
-_TWO = "two publishers under one name? Give every robot a name of its own"
-_JUMPED = (
-    "its poses jumped ({}), farther than mapper.max_speed and mapper.max_turn_rate allow: a new history "
-    "of poses begins. If that was no correction of its localisation, raise them"
-)
-
-
-def _jump(t0: int, p0: Pose, t1: int, p1: Pose) -> str:
-    far, turn = math.hypot(p1.x - p0.x, p1.y - p0.y), abs(shorter_arc(p0.theta, p1.theta))
-    return f"{far:.3g} m and {turn:.3g} rad within {(t1 - t0) / 1e9:.3g} s"
+        return Verdict(True, began=why)

@@ -3,11 +3,16 @@
 import math
 from dataclasses import dataclass
 
-from ogm_core.placing.pose_history import POSE_GAP, shorter_arc
-from ogm_core.types import Pose
+from ogm_core.types import Pose, shorter_arc
 
+POSE_GAP = 0.5
+"""Poses farther apart than that, s, say nothing about the time between them, unless told otherwise."""
 JITTER_NS = 50_000_000
 """A stamp may lie so far before an earlier message's without that the clock went back."""
+WAITING_NS = 60_000_000_000
+"""A scan waits for its pose until one of its sensor that is so much newer waits, too."""
+MAX_WAITING = 4096
+"""So many scans of a sensor wait at most, whatever their stamps."""
 REMEMBERED = 8
 """So many replaced runs are remembered, those that were heard last."""
 

@@ -6,17 +6,17 @@ from functools import partial
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
+from ogm_core.placing import reasons
 from ogm_core.placing.hints import Hints
+from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
-from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
-from ogm_core.placing.source import REPEATS_IN_A_ROW, Source
+from ogm_core.placing.rules import DEFAULT_RULES, MAX_WAITING, WAITING_NS, PlacingRules
+from ogm_core.placing.source import Source
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
-WAITING_NS = 60_000_000_000
-"""A scan waits for its pose until one of its sensor that is so much newer waits, too."""
-MAX_WAITING = 4096
-"""So many scans of a sensor wait at most, whatever their stamps."""
+MAX_GONE = 64
+"""So many runs that are gone are remembered of a robot."""
 
 Complain = Callable[[str, str, str], None]
 """Told of a source, `<robot>/<sensor>` or `<robot>/pose`, of the kind of trouble, and what was wrong."""
@@ -54,8 +54,8 @@ class _Robot:
     waiting: list[_Waiting] = field(default_factory=list)
     """In order of arrival, until a pose at or after its last beam arrives."""
     pose_heard: float = 0.0
-    gone: set[str] = field(default_factory=set)
-    """Runs whose liveliness token was there and is no more."""
+    gone: dict[str, None] = field(default_factory=dict)
+    """Runs whose liveliness token was there and is no more, the last one at the end."""
 
 
 class ScanPlacer:
@@ -93,8 +93,8 @@ class ScanPlacer:
         verdict = poses.add(message, anew=anew, released=poses.owner in robot.gone)
         if verdict.note is not None:
             self._receipts.pose_noted(verdict.note)
-        if verdict.said:
-            self._complain(f"{name}/pose", verdict.kind, verdict.said)
+        if verdict.reason is not None:
+            self._complain(f"{name}/pose", *verdict.reason)
         if verdict.note != "superseded":
             robot.pose_heard = now
         if not verdict.taken:
@@ -118,7 +118,9 @@ class ScanPlacer:
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         self._hints.look(f"{name}/{sensor}", scan, partial(self._hint, name, sensor))
         if source.seen(scan):
-            self._drop(name, sensor, "duplicate", _REPEATED if source.repeats(scan) else _SEEN)
+            self._drop(
+                name, sensor, "duplicate", reasons.RENUMBERED if source.repeats(scan) else reasons.SEEN
+            )
             return
         if scan.pose is not None:
             source.number(scan)
@@ -128,16 +130,15 @@ class ScanPlacer:
         owner = self._replaced_by(robot, source, scan.run)
         if owner is not None:
             source.number(scan)
-            self._drop(name, sensor, "superseded", _SUPERSEDED.format(scan.run, owner))
+            self._drop(name, sensor, "superseded", reasons.superseded_scan(scan.run, owner))
             return
         back = source.take(scan, self._messages, robot.poses.histories)
         source.number(scan)
         if back:
-            self._complain(f"{name}/{sensor}", "stepped back", _STEPPED.format(back / 1e9))
-            stepped = "the clock of its sensor had gone back before its pose came"
-            self._give_up(name, robot, stepped, lambda item: item.sensor == sensor)
+            self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
+            self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
         item = _Waiting(sensor, scan, self._messages, now)
-        if source.holds:
+        if source.holds:  # for whichever pose comes next: how far ahead it is matters only then
             robot.waiting.append(item)
         else:
             self._try(name, robot, item)
@@ -146,14 +147,15 @@ class ScanPlacer:
 
     def robot_here(self, name: str, run: str) -> None:
         """Note that the liveliness token of a robot's run is there."""
-        self._robot(name).gone.discard(run)
+        self._robot(name).gone.pop(run, None)
         self._receipts.robot_alive(name, run, True)
 
     def robot_gone(self, name: str, run: str) -> None:
         """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
-        robot = self._robot(name)
-        known = {robot.poses.owner, *(source.run for source in robot.sources.values())}
-        robot.gone = (robot.gone & known) | ({run} & known)
+        gone = self._robot(name).gone
+        gone[run] = None
+        if len(gone) > MAX_GONE:
+            del gone[next(iter(gone))]
         self._receipts.robot_alive(name, run, False)
 
     def expire(self, now: float) -> None:
@@ -161,17 +163,12 @@ class ScanPlacer:
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
             if robot.waiting and now - robot.pose_heard > wait:
-                why = (
-                    f"no pose at or after its last beam came within mapper.pose_wait = {wait:g} s: does "
-                    "the robot publish poses, under this robot's name, and while it stands, too? Do their "
-                    "stamps come from the same clock?"
-                )
-                self._give_up(name, robot, why, lambda item: now - item.handed > wait)
+                self._give_up(name, robot, reasons.waited(wait), lambda item: now - item.handed > wait)
 
     def finish(self) -> None:
         """Drop every waiting scan: no pose will come any more."""
         for name, robot in self._robots.items():
-            self._give_up(name, robot, "no pose at or after its last beam has come, and none will")
+            self._give_up(name, robot, reasons.LOG_ENDED)
 
     def _robot(self, name: str) -> _Robot:
         robot = self._robots.get(name)
@@ -182,9 +179,8 @@ class ScanPlacer:
     @staticmethod
     def _replaced_by(robot: _Robot, source: Source, run: str) -> str | None:
         """The run that has replaced a scan's run as its robot's or its source's; None if none has."""
-        poses = robot.poses
-        if run in poses.replaced and poses.owner not in robot.gone:
-            return poses.owner
+        if run in robot.poses.replaced:
+            return robot.poses.owner
         if run in source.replaced and source.run not in robot.gone:
             return source.run
         return None
@@ -199,7 +195,7 @@ class ScanPlacer:
             step_at = sources[item.sensor].step_at
             return step_at is None or item.number < step_at
 
-        self._give_up(name, robot, f"{verdict.began} before its pose came", is_of_before)
+        self._give_up(name, robot, reasons.began_anew(verdict.began or ""), is_of_before)
         for source in sources.values():
             source.step_at = None
 
@@ -223,7 +219,7 @@ class ScanPlacer:
         elif max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
             self._place(name, robot, item.sensor, scan)
         elif scan.stamp - newest > self._rules.pose_wait * 1e9:
-            ahead = _AHEAD.format((scan.stamp - newest) / 1e9, self._rules.pose_wait)
+            ahead = reasons.ahead(scan.stamp - newest, self._rules.pose_wait)
             self._drop(name, item.sensor, "no_pose", ahead)
         else:
             robot.waiting.append(item)
@@ -236,7 +232,7 @@ class ScanPlacer:
         self._give_up(
             name,
             robot,
-            "no pose has come for it, and newer scans of its sensor wait, too",
+            reasons.CROWDED,
             lambda item: (
                 item.sensor == sensor
                 and (newest - item.scan.stamp > WAITING_NS or item.number < oldest_number)
@@ -244,7 +240,7 @@ class ScanPlacer:
         )
 
     def _give_up(
-        self, name: str, robot: _Robot, why: str, which: Callable[[_Waiting], bool] = lambda _: True
+        self, name: str, robot: _Robot, why: Reason, which: Callable[[_Waiting], bool] = lambda _: True
     ) -> None:
         """Drop those of the waiting scans that `which` chooses."""
         kept = []
@@ -262,7 +258,7 @@ class ScanPlacer:
             pose = base.compose(scan.mount)
             self._sink.integrate(scan, pose, sweep)
         except ScanRefused as refusal:
-            self._drop(name, sensor, cast(DropReason, refusal.slug), str(refusal))
+            self._drop(name, sensor, cast(DropReason, refusal.slug), Reason(refusal.kind, str(refusal)))
         except Exception:
             self._receipts.scan_dropped(name, sensor, "failed")
             raise
@@ -282,7 +278,7 @@ class ScanPlacer:
             return scan.pose, None
         history = robot.poses.history
         if scan.stamp < cast(int, history.oldest):
-            raise Stale("its stamp lies before the robot's oldest kept pose")
+            raise Stale(reasons.stale(cast(int, history.oldest) - scan.stamp).text)
         sweep = None if scan.time_increment == 0.0 else history.along(scan)
         return history.at(scan.stamp), sweep
 
@@ -290,26 +286,6 @@ class ScanPlacer:
         self._receipts.hint(name, sensor, slug)
         self._complain(f"{name}/{sensor}", f"hint {slug}", text)
 
-    def _drop(self, name: str, sensor: str, reason: DropReason, why: str) -> None:
+    def _drop(self, name: str, sensor: str, reason: DropReason, why: Reason) -> None:
         self._receipts.scan_dropped(name, sensor, reason)
-        self._complain(f"{name}/{sensor}", reason, f"a scan is dropped ({reason}): {why}")
-
-
-_SEEN = "a scan of this run and seq has come before"
-_REPEATED = (
-    f"{REPEATS_IN_A_ROW} scans in a row have the run and seqs of scans before, with new stamps: the run's "
-    "numbering has begun anew. Give each start of a publisher a run of its own"
-)
-_SUPERSEDED = (
-    "run {!r} was replaced by run {!r}: two publishers under one name? Give every robot a name of its own"
-)
-_STEPPED = (
-    "the clock of this sensor went back by {:g} s: its scans wait for the robot's next pose, with which a "
-    "new history begins. If the poses' clock did not go back, set both from one clock, or give the sensor "
-    "a time_offset"
-)
-_AHEAD = (
-    "its stamp is {:g} s ahead of the robot's newest pose, more than mapper.pose_wait = {:g} s: send poses "
-    "while the robot stands, too (AMCL does not), and let poses and scans have their stamps from one clock, "
-    "or give the sensor a time_offset"
-)
+        self._complain(f"{name}/{sensor}", why.kind, f"a scan is dropped ({reason}): {why.text}")

@@ -21,6 +21,7 @@ SAFE = (
         "restart",
         "restart as another run",
         "poses in steps",
+        "stands",
         "one stamp",
         "whole seconds",
     ),
@@ -30,7 +31,7 @@ SAFE = (
 """Nothing may be placed wrong. Clocks step back by more than a period of the scans and their delay."""
 DOUBTFUL = (
     *("poses step back", "scans step back", "poses step forward", "scans step forward", "two publishers"),
-    *("pose from elsewhen", "scan from elsewhen", "outliers nearby", "outliers in pairs"),
+    *("owner leaves", "pose from elsewhen", "scan from elsewhen", "outliers nearby", "outliers in pairs"),
     "restart of the clock",
 )
 """No rule can tell which clock is right, which of two robots is meant, or that the robot was not there."""
@@ -42,6 +43,8 @@ def where(t):
 
 
 def elsewhere(kind, start, t):
+    if kind == "stands":  # from 4 s to 9 s
+        t = min(t, 4.0) + max(t - 9.0, 0.0)
     x, y, theta = where(t)
     return (x + 2.1, y - 1.0, theta) if kind == "jump" and t >= start else (x, y, theta)
 
@@ -77,7 +80,8 @@ class Journey:
         self.runs = self.rng.choice([("A", "A"), ("A", "B")])
         if kind == "step back without runs":
             self.runs = ("", "")
-        self.seqs = [0, 0]
+        self.sensors = self.rng.choice(["s", "st"])
+        self.seqs = {}
         self.drive()
         self.trouble()
         self.messages = [message for _, message, _ in self.entries]
@@ -94,26 +98,30 @@ class Journey:
         begun_anew = False
         for t, is_pose in sorted(times):
             if self.kind.startswith("restart") and t >= self.start and not begun_anew:
-                begun_anew, self.seqs = True, [0, 0]
+                begun_anew, self.seqs = True, {}
                 if self.kind == "restart as another run":
                     self.runs = tuple(run + "2" for run in self.runs)
             stamp = clocked(self.kind, t + offset(self.kind, is_pose, self.step, self.start, t))
             at = elsewhere(self.kind, self.start, t)
             self.put(t if is_pose else t + delay, is_pose, stamp, at)
-            if self.kind == "two publishers" and t >= self.start:
+            other = self.kind == "two publishers" or (self.kind == "owner leaves" and t < self.start + 2)
+            if other and t >= self.start:
                 self.put(t, is_pose, stamp + 3 * MS, (at[0] + 30.0, *at[1:]), ("Z", "Z"))
+        if self.kind == "owner leaves":
+            self.entries.append((self.start + 2, ("gone", "Z"), None))
         self.entries.sort(key=lambda entry: entry[0])
 
     def put(self, arrival, is_pose, stamp, at, runs=None):
-        seq = 0 if self.kind == "step back without seqs" else self.seqs[not is_pose]
         pose_run, scan_run = runs or self.runs
+        key = "pose" if is_pose else self.rng.choice(self.sensors)
+        seq = 0 if self.kind == "step back without seqs" else self.seqs.get((key, runs), 0)
+        self.seqs[key, runs] = seq + 1
         if is_pose:
             self.entries.append((arrival, ("pose", pose_run, seq, stamp, at), None))
         else:
             period = self.rng.choice([0, 0, 4 * MS])
             beams = [stamp + n * period for n in range(3)]
-            self.entries.append((arrival, ("scan", scan_run, seq, stamp, "s", beams), at))
-        self.seqs[not is_pose] += 1
+            self.entries.append((arrival, ("scan", scan_run, seq, stamp, key, beams), at))
 
     def chosen(self, which, share):
         return [
@@ -143,7 +151,7 @@ class Journey:
                 if which == "scan":
                     moved[5] = [beam + off for beam in moved[5]]
                 entries[n] = arrival, tuple(moved), at
-        elif kind == "poses in steps":
+        elif kind in ("poses in steps", "stands"):
             self.thin_out()
 
     def wrong_poses(self, least, most):
@@ -172,6 +180,9 @@ def placed_by_desk(journey, **rules):
     """Desk after a journey, its scans tagged with the numbers of their messages."""
     desk = Desk(**rules)
     for n, message in enumerate(journey.messages):
+        if message[0] == "gone":
+            desk.placer.robot_gone("r", message[1])
+            continue
         kind, run, seq, stamp, *rest = message
         if kind == "pose":
             desk.pose((stamp - T0) // MS, Pose(*rest[0]), run=run, seq=seq)

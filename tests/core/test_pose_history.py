@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ogm_core.errors import NoPose
-from ogm_core.placing.pose_history import CAPACITY, POSE_GAP, PoseHistory
+from ogm_core.placing.pose_history import CAPACITY, PoseHistory
+from ogm_core.placing.rules import POSE_GAP
 from ogm_core.types import Pose
 
 T0 = 1_700_000_000_000_000_000

@@ -149,6 +149,45 @@ def test_one_bad_pose_does_not_end_the_mapping(built):
     assert "a pose is dropped, no robot gets there (485 m" in said
 
 
+def test_two_publishers_without_runs(built):
+    mine = drive(lambda t: (-4 + 1.5 * t, 0.0, 0.0), 5, run="")
+    theirs = drive(lambda t: (30 - 1.5 * t, 0.0, 0.0), 5, start=T0 + 7_000_000, run="")
+    theirs = [message for message in theirs if message["type"] == "pose"]
+    _, integrated, said = built(sorted(mine + theirs, key=lambda message: message["stamp"]))
+    assert integrated <= 50
+    assert "r1/pose: poses contradict each other" in said
+    assert "two publishers under one name?" in said
+
+
+def test_a_publisher_that_numbers_anew_under_its_old_run(built):
+    first = drive(east, 5)
+    again = drive(lambda t: east(t + 5), 5, start=T0 + 5 * S, first_pose=1000)  # the scans begin with 0 again
+    (wrong, _), integrated, said = built([*first, *again])
+    assert (wrong, integrated) == (0, 50)
+    assert "10 scans in a row have the run and seqs of scans before" in said
+
+
+def test_each_way_to_have_no_pose_is_told(built):
+    log = drive(east, 4)
+    gap = [
+        message for message in log if message["type"] == "scan" or not T0 + S < message["stamp"] < T0 + 2 * S
+    ]
+    again = next(
+        n for n, message in enumerate(gap) if message["stamp"] == T0 + 3 * S and message["type"] == "pose"
+    )
+    gap.insert(again + 1, gap[again] | {"x": gap[again]["x"] + 0.02})
+    _, _, said = built(
+        [*gap, scan(T0 + 4 * S + 10**9, ranges(0, 0, 0), 500), scan(T0 + 9 * S, ranges(0, 0, 0), 501)]
+    )
+    for words in (
+        "mapper.pose_gap is 0.5 s",
+        "has the stamp of another",
+        "the log ends before",
+        "ahead of the robot's",
+    ):
+        assert words in said
+
+
 @pytest.mark.parametrize("runs", [("a", "b"), ("first", "")])
 def test_two_publishers_of_one_name(built, runs):
     mine = drive(lambda t: (-4 + 1.5 * t, 0.0, 0.0), 5, run=runs[0])

@@ -7,7 +7,7 @@ import pytest
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
 from ogm_core.placing.pose_history import CAPACITY, MAX_KEPT
-from ogm_core.placing.scan_placer import MAX_WAITING
+from ogm_core.placing.rules import MAX_WAITING
 from ogm_core.status import PoseCounts, SourceStatus
 from ogm_core.types import Pose, PoseStamped
 
@@ -58,7 +58,7 @@ def test_a_gap_of_more_than_half_a_second_has_no_pose():
     desk.scan(499).scan(500).scan(501).scan(1000).scan(1102)
     assert (desk.order, desk.dropped) == ([0, 1, 4], {"no_pose": 2})
     [*_, (source, kind, said)] = desk.complaints
-    assert (source, kind) == ("r/s", "no_pose")
+    assert (source, kind) == ("r/s", "gap")
     assert "two poses 0.602 s apart, and mapper.pose_gap is 0.5 s" in said
 
 
