@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ogm_core.placing.sensor_rules import ROUNDING
 from ogm_core.types import Pose, Scan
 
 CLOSELY = 50
@@ -15,7 +16,6 @@ NOW_AND_THEN = 50
 ENOUGH = 10
 """Nothing is said of a source before so many scans were looked at."""
 MAX_SOURCES = 1000
-_ROUNDING = 1.0 + 1e-6
 _SEVERAL_RANGES = 5
 _BEYOND_SHARE = 0.05
 _EMPTY_SHARE = 0.5
@@ -72,7 +72,7 @@ class Hints:
         seen.range_changes += seen.range_max is not None and scan.range_max != seen.range_max
         seen.range_max = scan.range_max
         ranges = scan.ranges
-        beyond = (ranges > np.float64(scan.range_max * _ROUNDING)) & (ranges < math.inf)
+        beyond = (ranges > np.float64(scan.range_max * ROUNDING)) & (ranges < math.inf)
         seen.finite += int(np.count_nonzero(np.isfinite(ranges)))
         seen.beyond += int(np.count_nonzero(beyond))
         seen.beams += ranges.size

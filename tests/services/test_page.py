@@ -106,6 +106,15 @@ def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
         ["leaving", "1.0, -2.5", "no", "59 s ago", "2"],
         ["quiet", "none", "yes", "never", "0"],
     ]
+    told = dict(row for row in rows(dom, "facts") if row[0].startswith("poses "))
+    assert told == {
+        "poses malformed": "1",
+        "poses late": "3",
+        "poses restarted": "2",
+        "poses ambiguous": "4",
+        "poses outlier": "5",
+        "poses superseded": "6",
+    }
     assert rows(dom, "reasons") == [
         ["here/front: no_pose", "5"],
         ["here/front: superseded", "2"],

@@ -90,7 +90,7 @@ def test_a_world_that_mappers_will_pass_over_is_told_of(
     listener, endpoint, simulating, eventually, monkeypatch, caplog, room
 ):
     size = len(dump_world(world_named("lab")))
-    monkeypatch.setattr(simulator_module, "MAX_BYTES", size + room)
+    monkeypatch.setattr(simulator_module, "MAX_TRUTH_BYTES", size + room)
     simulating(endpoint, "lab")
     eventually(lambda: ask(listener))
     said = f"mappers will pass over this world as the truth of their maps: its description takes {size} bytes"

@@ -4,8 +4,9 @@ import pytest
 
 from ogm_core.simulation.catalogue import office
 from ogm_core.simulation.worlds import dump_world, lab, load_world
+from ogm_core.wire.keys import MAX_TRUTH_BYTES
 from ogm_services.mapper.live import true_world as truth_module
-from ogm_services.mapper.live.true_world import MAX_BYTES, TrueWorld
+from ogm_services.mapper.live.true_world import TrueWorld
 
 LAB, OFFICE = (dump_world(world()).encode() for world in (lab, office))
 BAD = [
@@ -83,15 +84,13 @@ def test_nonsense_that_changes_all_the_time_does_not_fill_the_log(truth, caplog)
 
 
 def test_what_is_too_long_is_not_even_read(truth, read, caplog):
-    truth.heard("e", [LAB + b"#" * (MAX_BYTES - len(LAB))])
+    truth.heard("e", [LAB + b"#" * (MAX_TRUTH_BYTES - len(LAB))])
     assert truth.world is not None
-    truth.heard("e", [LAB + b"#" * (MAX_BYTES + 1 - len(LAB))])
+    truth.heard("e", [LAB + b"#" * (MAX_TRUTH_BYTES + 1 - len(LAB))])
     assert truth.world is None
     assert len(read) == 1
-    said = (
-        f"passed over: its {MAX_BYTES + 1} bytes are more than {MAX_BYTES}; the map's quality has no `truth`"
-    )
-    assert said in caplog.text
+    said = f"passed over: its {MAX_TRUTH_BYTES + 1} bytes are more than {MAX_TRUTH_BYTES}; the map's quality"
+    assert f"{said} has no `truth`" in caplog.text
 
 
 @pytest.mark.parametrize("told", [[LAB, OFFICE], [OFFICE, LAB], [b"", OFFICE, LAB], [LAB, b"", OFFICE, LAB]])

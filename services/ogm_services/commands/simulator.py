@@ -21,9 +21,8 @@ from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
 from ogm_core.simulation.worlds import World, dump_world
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
-from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.keys import MAX_TRUTH_BYTES, MapKeys
 from ogm_services.commands.simulator_options import SimulatorOptions
-from ogm_services.mapper.live.true_world import MAX_BYTES
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
 from ogm_services.settings.settings import NetworkSettings
@@ -163,12 +162,12 @@ def _refuse_namesakes(session: zenoh.Session, keys: MapKeys, robots: list[str], 
 def _truth(world: World) -> Callable[[Parameters], Answer]:
     """What is answered to queries of the truth: always the same."""
     answer = Answer(dump_world(world).encode(), "application/yaml")
-    if len(answer.body) > MAX_BYTES:
+    if len(answer.body) > MAX_TRUTH_BYTES:
         log.warning(
             "mappers will pass over this world as the truth of their maps: its description takes %d bytes, "
             "more than %d",
             len(answer.body),
-            MAX_BYTES,
+            MAX_TRUTH_BYTES,
         )
 
     def truth(given: Parameters) -> Answer:

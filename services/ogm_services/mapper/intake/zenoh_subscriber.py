@@ -18,6 +18,11 @@ from ogm_services.runtime.limited_log import LimitedLog
 MAX_SOURCES = 1000
 """Keys of messages whose sources are remembered; reading one anew does no harm."""
 
+_OVERLOAD = (
+    "the queue is full, its oldest scan is dropped: send fewer scans or beams, or let the map take less time "
+    "for them (reach, clear_range, a larger resolution, sensor_model)"
+)
+
 log = logging.getLogger(__name__)
 
 
@@ -76,7 +81,7 @@ class ZenohSubscriber:
         for robot, sensor in self._queue.put(item):
             if sensor is not None:
                 self._receipts.scan_dropped(robot, sensor, "overload")
-                self._complaints.warning(f"{robot}/{sensor}", "the queue is full, its oldest scan is dropped")
+                self._complaints.warning(f"{robot}/{sensor}", _OVERLOAD)
 
     def _token_changed(self, sample: zenoh.Sample) -> None:
         """Have the worker told, after the messages that have come, that a robot's run is there or gone."""

@@ -5,10 +5,8 @@ from collections.abc import Iterable
 
 from ogm_core.errors import OgmError
 from ogm_core.simulation.worlds import World, load_world
+from ogm_core.wire.keys import MAX_TRUTH_BYTES
 from ogm_services.runtime.limited_log import LimitedLog
-
-MAX_BYTES = 2 * 1024**2
-"""A longer text is not read: that would take too long. A ROS map of a warehouse becomes half a megabyte."""
 
 log = logging.getLogger(__name__)
 
@@ -55,9 +53,11 @@ class TrueWorld:
 
     def _world(self, text: bytes) -> World | None:
         try:
-            if len(text) <= MAX_BYTES:
+            if len(text) <= MAX_TRUTH_BYTES:
                 return load_world(text.decode())
-            reason = f"its {len(text)} bytes are more than {MAX_BYTES}; the map's quality has no `truth`"
+            reason = (
+                f"its {len(text)} bytes are more than {MAX_TRUTH_BYTES}; the map's quality has no `truth`"
+            )
         except (OgmError, UnicodeDecodeError) as error:
             reason = str(error)
         self._complaints.warning("a simulator's world", f"passed over: {reason}")
