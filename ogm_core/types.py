@@ -86,6 +86,8 @@ class Scan:
     @property
     def end_stamp(self) -> int:
         """Time of the last beam, ns since the Unix epoch."""
+        if self.time_increment == 0.0:
+            return self.stamp
         return self.stamp + round((self.ranges.size - 1) * self.time_increment * 1e9)
 
 

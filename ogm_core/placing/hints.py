@@ -1,8 +1,9 @@
 """Hints at sensors whose data look wrong: nothing is decided by them, each is told once per source."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,13 @@ _UNITS = (("s", 10**9), ("ms", 10**12), ("us", 10**15))
 
 Agreement = Callable[[Scan, Pose], tuple[int, int]]
 """Of some hits of a placed scan: how many end in cells with p > 0.5, and how many were judged."""
-Tell = Callable[[str, str], None]
-"""Told of a hint's name, and of what to do."""
+
+
+class Hint(NamedTuple):
+    """What looks wrong: its name in the status, and what to do about it."""
+
+    slug: str
+    text: str
 
 
 @dataclass(slots=True)
@@ -58,8 +64,8 @@ class Hints:
         self._sector = sector
         self._sources: dict[str, _Seen] = {}
 
-    def look(self, source: str, scan: Scan, tell: Tell) -> None:
-        """Look at a scan as it comes; `tell` is called at most once for every hint and source."""
+    def look(self, source: str, scan: Scan) -> Sequence[Hint]:
+        """Look at a scan as it comes: what there is to tell, each hint at most once for every source."""
         seen = self._sources.get(source)
         if seen is None:
             if len(self._sources) >= MAX_SOURCES:
@@ -67,7 +73,7 @@ class Hints:
             seen = self._sources[source] = _Seen(first_stamp=scan.stamp)
         seen.scans += 1
         if seen.scans > CLOSELY and seen.scans % NOW_AND_THEN:
-            return
+            return ()
         seen.looked_at += 1
         seen.range_changes += seen.range_max is not None and scan.range_max != seen.range_max
         seen.range_max = scan.range_max
@@ -79,48 +85,50 @@ class Hints:
         seen.empty += int(np.count_nonzero(ranges >= np.float32(scan.range_max))) - int(
             np.count_nonzero(beyond)
         )
-        for slug, text in self._found(seen, scan):
-            if slug not in seen.told:
-                seen.told.add(slug)
-                tell(slug, text)
+        found = [hint for hint in self._found(seen, scan) if hint.slug not in seen.told]
+        seen.told.update(hint.slug for hint in found)
+        return found
 
-    def placed(self, source: str, scan: Scan, pose: Pose, tell: Tell) -> None:
-        """Ask the map about a scan that is in it, if most of its source's beams have no return."""
+    def placed(self, source: str, scan: Scan, pose: Pose) -> Sequence[Hint]:
+        """Ask the map about a scan that is in it, if most of its source's beams have no return; likewise."""
+        if self._agreement is None:
+            return ()
         seen = self._sources.get(source)
-        if self._agreement is None or seen is None or "ignore_no_return" in seen.told:
-            return
-        if seen.looked_at < ENOUGH or seen.empty <= _EMPTY_SHARE * seen.beams or seen.scans % NOW_AND_THEN:
-            return
+        if seen is None or seen.scans % NOW_AND_THEN or "ignore_no_return" in seen.told:
+            return ()
+        if seen.looked_at < ENOUGH or seen.empty <= _EMPTY_SHARE * seen.beams:
+            return ()
         agreeing, hits = self._agreement(scan, pose)
         seen.agreeing += agreeing
         seen.hits += hits
-        if seen.hits >= ENOUGH and seen.agreeing < _AGREEING_SHARE * seen.hits:
-            seen.told.add("ignore_no_return")
-            tell(
-                "ignore_no_return",
-                f"{seen.empty / seen.beams:.0%} of its beams have no return, and where the others end "
-                "the map has no wall: if it says inf for an invalid reading, set ignore_no_return for it",
-            )
+        if seen.hits < ENOUGH or seen.agreeing >= _AGREEING_SHARE * seen.hits:
+            return ()
+        seen.told.add("ignore_no_return")
+        return (Hint("ignore_no_return", _NO_RETURN.format(seen.empty / seen.beams)),)
 
-    def _found(self, seen: _Seen, scan: Scan) -> list[tuple[str, str]]:
+    def _found(self, seen: _Seen, scan: Scan) -> list[Hint]:
         found = []
         turns = (scan.ranges.size - 2) * abs(scan.angle_increment) / math.tau
         if turns > 1.0:
-            found.append(("turns", _TURNS.format(turns)))
+            found.append(Hint("turns", _TURNS.format(turns)))
         if self._sector and scan.ranges.size > 1 and abs(scan.angle_increment) > _WIDE:
-            found.append(("sector", _SECTOR.format(math.degrees(abs(scan.angle_increment)))))
+            found.append(Hint("sector", _SECTOR.format(math.degrees(abs(scan.angle_increment)))))
         if seen.range_changes >= _SEVERAL_RANGES:
-            found.append(("range_max", _RANGE_MAX))
+            found.append(Hint("range_max", _RANGE_MAX))
         if seen.looked_at >= ENOUGH and seen.beyond > _BEYOND_SHARE * seen.finite:
-            found.append(("beyond", _BEYOND.format(seen.beyond / seen.finite, scan.range_max)))
+            found.append(Hint("beyond", _BEYOND.format(seen.beyond / seen.finite, scan.range_max)))
         if seen.scans == ENOUGH:
             spacing = abs(scan.stamp - seen.first_stamp) / (ENOUGH - 1)
             unit = next((unit for unit, least in _UNITS if least <= scan.stamp <= 2.2 * least), None)
             if unit is not None and spacing < _FASTEST_NS:
-                found.append(("stamp", _STAMP.format(unit)))
+                found.append(Hint("stamp", _STAMP.format(unit)))
         return found
 
 
+_NO_RETURN = (
+    "{:.0%} of its beams have no return, and where the others end the map has no wall: if it says inf for an "
+    "invalid reading, set ignore_no_return for it"
+)
 _TURNS = "its bearings go {:.3g} times round: are they degrees? Radians are needed"
 _SECTOR = (
     "its bearings are {:.3g} degrees apart, and the sensor model sector fills what lies between: use beam"

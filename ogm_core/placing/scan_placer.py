@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
-from ogm_core.placing.hints import Hints
+from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
@@ -114,9 +113,10 @@ class ScanPlacer:
         robot = self._robot(name)
         source = robot.sources.get(sensor)
         if source is None:
-            source = robot.sources[sensor] = Source()
+            source = robot.sources[sensor] = Source(f"{name}/{sensor}")
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
-        self._hints.look(f"{name}/{sensor}", scan, partial(self._hint, name, sensor))
+        for hint in self._hints.look(source.name, scan):
+            self._hint(name, sensor, hint)
         if source.seen(scan):
             self._drop(
                 name, sensor, "duplicate", reasons.RENUMBERED if source.repeats(scan) else reasons.SEEN
@@ -264,7 +264,8 @@ class ScanPlacer:
             raise
         else:
             self._receipts.scan_integrated(name, sensor)
-            self._hints.placed(f"{name}/{sensor}", scan, pose, partial(self._hint, name, sensor))
+            for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
+                self._hint(name, sensor, hint)
 
     @staticmethod
     def _pose_of(robot: _Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
@@ -282,9 +283,9 @@ class ScanPlacer:
         sweep = None if scan.time_increment == 0.0 else history.along(scan)
         return history.at(scan.stamp), sweep
 
-    def _hint(self, name: str, sensor: str, slug: str, text: str) -> None:
-        self._receipts.hint(name, sensor, slug)
-        self._complain(f"{name}/{sensor}", f"hint {slug}", text)
+    def _hint(self, name: str, sensor: str, hint: Hint) -> None:
+        self._receipts.hint(name, sensor, hint.slug)
+        self._complain(f"{name}/{sensor}", f"hint {hint.slug}", hint.text)
 
     def _drop(self, name: str, sensor: str, reason: DropReason, why: Reason) -> None:
         self._receipts.scan_dropped(name, sensor, reason)

@@ -17,7 +17,9 @@ class Source:
     time they are of.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+        """`<robot>/<sensor>`."""
         self.holds = False
         self.step_at: int | None = None
         """Number of the message with which its clock went back, if no new history has begun since."""
@@ -26,6 +28,8 @@ class Source:
         """Runs whose scans came before those of `run`, the one heard last at the end."""
         self._runs: dict[str, Sequence] = {}
         """By run, the one heard last at the end."""
+        self._heard: str | None = None
+        """The run that was numbered last."""
         self._newest: int | None = None
         """Largest stamp since its clock last went back or a new history began, ns."""
         self._history = 0
@@ -47,11 +51,14 @@ class Source:
     def number(self, scan: Scan) -> None:
         """Note the seq of a scan that is no duplicate."""
         self._repeats.clear()
-        sequence = self._runs.pop(scan.run, None) or Sequence()
-        self._runs[scan.run] = sequence
-        if len(self._runs) > MAX_RUNS:
-            del self._runs[next(iter(self._runs))]
-        if scan.run != "":
+        run, sequence = scan.run, self._runs.get(scan.run)
+        if sequence is None or run != self._heard:
+            self._runs.pop(run, None)
+            self._runs[run] = sequence = sequence or Sequence()
+            self._heard = run
+            if len(self._runs) > MAX_RUNS:
+                del self._runs[next(iter(self._runs))]
+        if run != "":
             sequence.note(scan.seq)
 
     def take(self, scan: Scan, number: int, histories: int) -> int:

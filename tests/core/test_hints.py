@@ -23,9 +23,9 @@ def told(scans, hints=None):
     found = []
     hints = hints or Hints()
     for one in scans:
-        hints.look("r/s", one, lambda slug, text: found.append((slug, text)))
-        hints.placed("r/s", one, IDENTITY, lambda slug, text: found.append((slug, text)))
-    return [slug for slug, _ in found]
+        found += hints.look("r/s", one)
+        found += hints.placed("r/s", one, IDENTITY)
+    return [hint.slug for hint in found]
 
 
 def test_of_a_sound_sensor_nothing_is_said():
@@ -89,5 +89,5 @@ def test_sources_are_told_apart():
     found = []
     hints = Hints()
     for source in ("a", "b", "a"):
-        hints.look(source, scan(0, np.ones(400)), lambda slug, _, source=source: found.append((source, slug)))
+        found += [(source, hint.slug) for hint in hints.look(source, scan(0, np.ones(400)))]
     assert found == [("a", "turns"), ("b", "turns")]
