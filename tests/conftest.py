@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from ogm_services.runtime.kernel_cache import kernel_cache
 
@@ -18,10 +19,12 @@ GIVEN_UP = 30.0
 
 
 def pytest_configure(config):
-    """Keep the kernels that the tests compile, they and what they start, where `ogm` does."""
+    """Keep compiled kernels where `ogm` does; let no example of hypothesis fail because a machine is busy."""
     cache = ExitStack()
     cache.enter_context(kernel_cache())
     config.add_cleanup(cache.close)
+    settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("busy")
 
 
 def pytest_xdist_auto_num_workers():
