@@ -143,9 +143,8 @@ class Placing:
             self.dropped[self.number] = "superseded"
             return
         if source["run"] is not None and run != source["run"]:
-            source["replaced"] = ([r for r in source["replaced"] if r != source["run"]] + [source["run"]])[
-                -8:
-            ]
+            kept = [r for r in source["replaced"] if r not in (run, source["run"])]
+            source["replaced"] = [*kept, source["run"]][-8:]
         source["run"] = run
         if not seqs and not first_of_all:
             source["holds"] = True

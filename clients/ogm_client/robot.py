@@ -20,11 +20,13 @@ from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
-from ogm_core.wire.keys import DEFAULT_ADDRESS, MapKeys, check_name
+from ogm_core.wire.keys import DEFAULT_ADDRESS, NAME, MapKeys, check_name
 from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
 _UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
+_MAX_RUNS = 64
+"""So many runs of a publisher are said to be alive: its own, and those of messages that it is given."""
 _DAY_NS = 86_400 * 10**9
 _M = TypeVar("_M")
 
@@ -90,7 +92,8 @@ class RobotPublisher:
             else:
                 self._where = "on the open session"
                 self._session = session
-            opening.callback(self._declare_alive().undeclare)
+            self._runs = {self.run}
+            opening.callback(self._declare_alive(self.run).undeclare)
             self._open = opening.pop_all()
 
     def publish_pose(self, x: float, y: float, theta: float, stamp: int | None = None) -> None:
@@ -168,7 +171,9 @@ class RobotPublisher:
             BadMessage: a mapper would refuse it; nothing is sent.
             ClientError: the publisher or its session is closed.
         """
-        self._pose_channel().put(_pose_payload(message))
+        payload = _pose_payload(message)
+        self._declare_run(message.run)
+        self._pose_channel().put(payload)
 
     def put_scan(self, sensor: str, scan: Scan) -> None:
         """Send a scan message as it is, with the `run` and `seq` that it carries.
@@ -178,7 +183,9 @@ class RobotPublisher:
             BadSetting: `sensor` cannot stand in a key.
             ClientError: the publisher or its session is closed.
         """
-        self._scan_channel(sensor).put(_scan_payload(scan))
+        payload = _scan_payload(scan)
+        self._declare_run(scan.run)
+        self._scan_channel(sensor).put(payload)
 
     def wait_for_mapper(self, timeout: float = 5.0) -> None:
         """Return once somebody subscribes to this robot's poses; what was published before may be lost.
@@ -247,8 +254,16 @@ class RobotPublisher:
                     warnings.warn(text, stacklevel=3)
         return stamp
 
-    def _declare_alive(self) -> zenoh.LivelinessToken:
-        alive = self._keys.alive("robot", self.robot, self.run)
+    def _declare_run(self, run: str) -> None:
+        """Say that a run other than the publisher's own is alive, too, as long as the publisher is."""
+        with self._channels_lock:
+            if run in self._runs or self._closed or len(self._runs) >= _MAX_RUNS or not NAME.fullmatch(run):
+                return
+            self._runs.add(run)
+            self._open.callback(self._declare_alive(run).undeclare)
+
+    def _declare_alive(self, run: str) -> zenoh.LivelinessToken:
+        alive = self._keys.alive("robot", self.robot, run)
         try:
             return self._session.liveliness().declare_token(alive)
         except zenoh.ZError as error:

@@ -54,10 +54,16 @@ class RosMap:
         return np.less(self.occupancy, 100.0 * FREE_BELOW) & np.not_equal(self.occupancy, UNKNOWN)
 
 
+_GREY_OF_UNKNOWN = 205
+_MUCH = 0.02
+"""A share of the picture from which on it is told."""
+
+
 def read_ros_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> RosMap:
     """Read a map description and the picture that it names.
 
-    `tell` is told, in one line, where the picture was found if it is not where the description says.
+    `tell` is told, in one line each, where the picture was found if it is not where the description says, and
+    if much of it is the grey that mapping programs write for unknown, and yet free by the thresholds.
 
     Raises:
         BadMapFile: one of them cannot be read or is not what is needed, or they do not belong together; the
@@ -74,6 +80,12 @@ def read_ros_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> Ro
     except BadMapFile as error:
         raise BadMapFile(f"{path}: {error}") from error
     occupancy = table[picture.greys[::-1]]  # pictures begin at the top, north
+    share = np.count_nonzero(picture.greys == _GREY_OF_UNKNOWN) / picture.greys.size
+    if share > _MUCH and table[_GREY_OF_UNKNOWN] == 0:
+        tell(
+            f"{path}: {share:.0%} of its picture are grey {_GREY_OF_UNKNOWN}, which mapping programs write "
+            "for unknown, and its free_thresh calls that free: set free_thresh: 0.196 if it is unknown"
+        )
     if picture.opaque is not None and not raw:  # whose greys are taken as they are
         occupancy = np.where(picture.opaque[::-1], occupancy, np.int8(UNKNOWN))
     return RosMap(occupancy, resolution, (x, y), yaw)

@@ -13,7 +13,7 @@ from ogm_core.logs.carmen import ROBOT, SENSOR, CarmenLog
 from ogm_core.logs.carmen_lines import LaserLine
 from ogm_core.logs.carmen_mount import SAME_M, SAME_RAD, seen_from
 from ogm_core.logs.recorded import Recorded, RecordedScan
-from ogm_core.types import Pose
+from ogm_core.types import IDENTITY, Pose
 
 _VERTEX = re.compile(rb"\s*VERTEX(?:2|_SE2)(?:\s|$)")
 
@@ -31,6 +31,7 @@ class GraphLog:
         self._vertex: Pose | None = None
         self._odometry: Pose | None = None
         """Where the robot was by its wheels at the vertex, once a sweep there has said so."""
+        self._stamp = 0
 
     def parse_line(self, line: bytes) -> Recorded | None:
         """Read one line; None if it is blank, a comment, a vertex or a message that is not read.
@@ -60,7 +61,11 @@ class GraphLog:
         if not all(map(math.isfinite, robot)):
             raise BadMessage("the robot's pose is not finite, so where its laser sits on it is not known")
         if self._odometry is None:
-            self._odometry = robot
+            self._odometry, self._stamp = robot, sweep.scan.stamp
+        elif self._odometry == robot == IDENTITY and sweep.scan.stamp != self._stamp:
+            raise BadMessage(
+                "whether the robot has moved since the vertex before it is not known: it needs one"
+            )
         moved = seen_from(self._odometry, robot)
         if math.hypot(moved.x, moved.y) > SAME_M or abs(moved.theta) > SAME_RAD:
             raise BadMessage("the robot has moved since the vertex before it: it needs one of its own")

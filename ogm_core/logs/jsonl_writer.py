@@ -57,6 +57,8 @@ def jsonl_file(path: Path) -> Iterator[Callable[[Recorded], None]]:
     """
     if not path.name.lower().endswith(JSON_SUFFIXES):
         raise BadRecording(f"{path}: recordings are written as {' or '.join(JSON_SUFFIXES)}")
+    if "\0" in str(path):
+        raise BadRecording("a file's name holds no NUL character")
     if path.is_dir():
         raise BadRecording(f"{path}: cannot be written (it is a folder)")
     caller: BaseException | None = None

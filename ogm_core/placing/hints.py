@@ -19,8 +19,11 @@ ENOUGH = 10
 MAX_SOURCES = 1000
 _SEVERAL_RANGES = 5
 _BEYOND_SHARE = 0.05
+_MOST = 0.5
 _EMPTY_SHARE = 0.5
 _AGREEING_SHARE = 0.1
+_SLOW = 2.0
+"""No 2D LiDAR takes longer for a scan, s."""
 _WIDE = math.radians(5.0)
 _FASTEST_NS = 1_000_000
 """No 2D LiDAR makes more than 1,000 scans a second, and few less than one: its stamps in us are nearer."""
@@ -52,6 +55,7 @@ class _Seen:
     beyond: int = 0
     beams: int = 0
     empty: int = 0
+    usable: int = 0
     hits: int = 0
     agreeing: int = 0
 
@@ -85,6 +89,7 @@ class Hints:
         seen.empty += int(np.count_nonzero(ranges >= np.float32(scan.range_max))) - int(
             np.count_nonzero(beyond)
         )
+        seen.usable += int(np.count_nonzero((ranges > 0.0) & (ranges >= scan.range_min) & ~beyond))
         found = [hint for hint in self._found(seen, scan) if hint.slug not in seen.told]
         seen.told.update(hint.slug for hint in found)
         return found
@@ -111,12 +116,21 @@ class Hints:
         turns = (scan.ranges.size - 2) * abs(scan.angle_increment) / math.tau
         if turns > 1.0:
             found.append(Hint("turns", _TURNS.format(turns)))
+        swept = (scan.ranges.size - 1) * abs(scan.time_increment)
+        if swept > _SLOW:
+            found.append(Hint("time_increment", _SWEPT.format(swept)))
         if self._sector and scan.ranges.size > 1 and abs(scan.angle_increment) > _WIDE:
             found.append(Hint("sector", _SECTOR.format(math.degrees(abs(scan.angle_increment)))))
         if seen.range_changes >= _SEVERAL_RANGES:
             found.append(Hint("range_max", _RANGE_MAX))
         if seen.looked_at >= ENOUGH and seen.beyond > _BEYOND_SHARE * seen.finite:
-            found.append(Hint("beyond", _BEYOND.format(seen.beyond / seen.finite, scan.range_max)))
+            share = seen.beyond / seen.finite
+            cure = _METRES if share > _MOST else _CLEAR
+            found.append(Hint("beyond", _BEYOND.format(share, scan.range_max) + cure))
+        if seen.looked_at >= CLOSELY and not seen.usable:
+            found.append(Hint("nothing counts", _NOTHING_COUNTS.format(scan.range_min, scan.range_max)))
+        if seen.looked_at >= CLOSELY and seen.usable == seen.empty > 0:
+            found.append(Hint("ignore_no_return", _NO_HIT))
         if seen.scans == ENOUGH:
             spacing = abs(scan.stamp - seen.first_stamp) / (ENOUGH - 1)
             unit = next((unit for unit, least in _UNITS if least <= scan.stamp <= 2.2 * least), None)
@@ -129,6 +143,18 @@ _NO_RETURN = (
     "{:.0%} of its beams have no return, and where the others end the map has no wall: if it says inf for an "
     "invalid reading, set ignore_no_return for it"
 )
+_NO_HIT = (
+    "not one of its beams has ever had a return: if it says inf for an invalid reading, set ignore_no_return "
+    "for it"
+)
+_NOTHING_COUNTS = (
+    "not one of its beams has ever counted: all are NaN, below its range_min of {:g} m or above its "
+    "range_max of {:g} m"
+)
+_SWEPT = (
+    "by its time_increment a scan takes {:.3g} s: is that in seconds? deskew: false takes each scan at its "
+    "stamp"
+)
 _TURNS = "its bearings go {:.3g} times round: are they degrees? Radians are needed"
 _SECTOR = (
     "its bearings are {:.3g} degrees apart, and the sensor model sector fills what lies between: use beam"
@@ -137,8 +163,7 @@ _RANGE_MAX = (
     "its range_max differs from scan to scan, and readings near range_max count as no return, so walls are "
     "erased: set range_max for it to what the sensor can reach"
 )
-_BEYOND = (
-    "{:.0%} of its finite ranges are above its range_max of {:g} m, and are skipped: if they mean that "
-    "nothing was there, set beyond to clear for it"
-)
+_BEYOND = "{:.0%} of its finite ranges are above its range_max of {:g} m, and are skipped: "
+_METRES = "are they in metres, and is range_max what the sensor can reach?"
+_CLEAR = "if they mean that nothing was there, set beyond to clear for it"
 _STAMP = "its stamps look like {} since 1970: ns are needed"

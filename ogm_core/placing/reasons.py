@@ -1,6 +1,7 @@
 """Reasons in words: why a scan is dropped or a pose not believed, and what helps."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ogm_core.placing.rules import MAX_WAITING, WAITING_NS
@@ -15,6 +16,7 @@ class Reason(NamedTuple):
     text: str
 
 
+_YEAR_NS = 31_536_000_000_000_000
 _TWO = "two publishers under one name? Give every robot a name of its own"
 _RATE = "do poses come at a steady rate, while the robot stands, too, with stamps from the scans' clock?"
 
@@ -55,7 +57,7 @@ def stale(by_ns: int) -> Reason:
     return Reason(
         "stale",
         f"its stamp lies {by_ns / 1e9:g} s before the oldest pose that is kept of its robot: let poses and "
-        "scans have their stamps from one clock, or give the sensor a time_offset",
+        f"scans have their stamps from one clock, or give the sensor a time_offset{_other_unit(by_ns)}",
     )
 
 
@@ -66,6 +68,16 @@ def gap(between_ns: int, pose_gap_ns: float) -> Reason:
         f"it lies between two poses {between_ns / 1e9:g} s apart, and mapper.pose_gap is "
         f"{pose_gap_ns / 1e9:g} s: publish poses more often, or raise mapper.pose_gap if the robot drives "
         "straight on between two poses",
+    )
+
+
+def no_pose_ever(robot: str, others: Sequence[str]) -> Reason:
+    """No pose has come under the name of a scan's robot."""
+    of_others = f" (there are poses of {', '.join(others)})" if others else ""
+    return Reason(
+        "no pose ever",
+        f"no pose of robot {robot} has ever come{of_others}: publish its poses under this name, or put a "
+        "pose into each of its scans",
     )
 
 
@@ -103,8 +115,12 @@ def ahead(by_ns: int, pose_wait: float) -> Reason:
         "ahead",
         f"its stamp is {by_ns / 1e9:g} s ahead of the robot's newest pose, more than mapper.pose_wait = "
         f"{pose_wait:g} s: send poses while the robot stands, too (AMCL does not), and let poses and scans "
-        "have their stamps from one clock, or give the sensor a time_offset",
+        f"have their stamps from one clock, or give the sensor a time_offset{_other_unit(by_ns)}",
     )
+
+
+def _other_unit(apart_ns: int) -> str:
+    return "; so far apart, one of the two is not in ns" if apart_ns > _YEAR_NS else ""
 
 
 def sensor_clock_went_back(by_ns: int) -> Reason:
@@ -163,7 +179,7 @@ def outlier(way: str) -> Reason:
 
 def contradiction(way: str) -> Reason:
     """Poses lie to and fro where no robot gets."""
-    return Reason("contradiction", f"poses contradict each other ({way}): {_TWO}")
+    return Reason("contradiction", f"poses contradict each other ({way}): headings in degrees, or {_TWO}")
 
 
 def way_between(t0: int, p0: Pose, t1: int, p1: Pose) -> str:

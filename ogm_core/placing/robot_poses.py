@@ -20,7 +20,6 @@ LATE_IN_A_ROW = 5
 """So many late poses in a row, each later than the one before, are a clock that went back."""
 _RECENT = 5
 """More than one outlier among so many poses: two publishers?"""
-_OTHER_CLOCK = "the clock of one of its sensors had gone back"
 
 
 class Verdict(NamedTuple):
@@ -72,10 +71,10 @@ class RobotPoses:
         """Stamp of the newest pose, ns, be it provisional; None before the first."""
         return self._history.newest if self._provisional is None else self._provisional[0]
 
-    def add(self, message: PoseStamped, *, anew: bool, released: bool) -> Verdict:
+    def add(self, message: PoseStamped, *, stepped: str, released: bool) -> Verdict:
         """Judge a pose, and keep it if it is believed.
 
-        `anew`: the clock of one of the robot's sensors went back, so a new history begins with the next pose.
+        `stepped`: the sensor whose clock went back, so that a new history begins with the next pose; or "".
         `released`: whether the owner is known to be gone, so that a run that it has replaced may own again.
         """
         run, owner = message.run, self.owner
@@ -89,10 +88,10 @@ class RobotPoses:
         if message.stamp < newest:
             return self._earlier(message, newest - message.stamp)
         if message.stamp == newest:
-            return self._again(message, anew)
+            return self._again(message, stepped)
         self._late.clear()
         self._last_seq = message.seq
-        return self._begin(message, _OTHER_CLOCK) if anew else self._later(message)
+        return self._begin(message, _clock_of(stepped)) if stepped else self._later(message)
 
     def _change_owner(self, message: PoseStamped) -> Verdict:
         if message.run in self.replaced:
@@ -144,14 +143,14 @@ class RobotPoses:
         began = self._begin(message, "the clock of its poses had gone back")
         return began._replace(note="restarted", reason=reasons.clock_went_back(by_ns))
 
-    def _again(self, message: PoseStamped, anew: bool) -> Verdict:
+    def _again(self, message: PoseStamped, stepped: str) -> Verdict:
         """The rules of a pose that has the stamp of the newest one."""
         newest = self._history.newest_pose if self._provisional is None else self._provisional[1]
         if nearly_equal(newest, message.pose):
             return Verdict(False, "late", reasons.REPEATED_POSE)
         self._last_seq = message.seq
-        if anew:
-            return self._begin(message, _OTHER_CLOCK)
+        if stepped:
+            return self._begin(message, _clock_of(stepped))
         if self._provisional is None:
             self._history.doubt(message.stamp)
         else:
@@ -171,3 +170,7 @@ class RobotPoses:
         self._outliers.clear()
         self.histories += 1
         return Verdict(True, began=why)
+
+
+def _clock_of(sensor: str) -> str:
+    return f"the clock of {sensor} had gone back"

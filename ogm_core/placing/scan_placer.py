@@ -88,16 +88,15 @@ class ScanPlacer:
         self._messages += 1
         robot = self._robot(name)
         poses = robot.poses
-        anew = any(source.step_at is not None for source in robot.sources.values())
-        verdict = poses.add(message, anew=anew, released=poses.owner in robot.gone)
+        stepped = next((source.name for source in robot.sources.values() if source.step_at is not None), "")
+        verdict = poses.add(message, stepped=stepped, released=poses.owner in robot.gone)
         if verdict.note is not None:
             self._receipts.pose_noted(verdict.note)
         if verdict.reason is not None:
             self._complain(f"{name}/pose", *verdict.reason)
-        if verdict.note != "superseded":
-            robot.pose_heard = now
         if not verdict.taken:
             return
+        robot.pose_heard = now
         if verdict.began is not None:
             self._begin(name, robot, verdict)
         if poses.history.newest == message.stamp:
@@ -142,7 +141,7 @@ class ScanPlacer:
             robot.waiting.append(item)
         else:
             self._try(name, robot, item)
-        if len(robot.waiting) > 1 and robot.waiting[-1] is item:
+        if robot.waiting and robot.waiting[-1] is item and source.crowds(scan.stamp):
             self._limit_waiting(name, robot, sensor)
 
     def robot_here(self, name: str, run: str) -> None:
@@ -163,12 +162,20 @@ class ScanPlacer:
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
             if robot.waiting and now - robot.pose_heard > wait:
-                self._give_up(name, robot, reasons.waited(wait), lambda item: now - item.handed > wait)
+                why = self._why_none(name, robot, reasons.waited(wait))
+                self._give_up(name, robot, why, lambda item: now - item.handed > wait)
 
     def finish(self) -> None:
         """Drop every waiting scan: no pose will come any more."""
         for name, robot in self._robots.items():
-            self._give_up(name, robot, reasons.LOG_ENDED)
+            self._give_up(name, robot, self._why_none(name, robot, reasons.LOG_ENDED))
+
+    def _why_none(self, name: str, robot: _Robot, else_why: Reason) -> Reason:
+        """Why no pose has come for a scan: maybe because none ever did."""
+        if robot.poses.owner is not None:
+            return else_why
+        others = [other for other, known in self._robots.items() if known.poses.owner is not None]
+        return reasons.no_pose_ever(name, others[:5])
 
     def _robot(self, name: str) -> _Robot:
         robot = self._robots.get(name)
@@ -228,7 +235,8 @@ class ScanPlacer:
         """Give up those scans of a sensor that wait while much newer ones do, or too many."""
         mine = [item for item in robot.waiting if item.sensor == sensor]
         newest = max(item.scan.stamp for item in mine)
-        oldest_number = mine[-MAX_WAITING:][0].number
+        kept = MAX_WAITING if len(mine) <= MAX_WAITING else MAX_WAITING * 7 // 8  # not one by one
+        oldest_number = mine[-kept:][0].number
         self._give_up(
             name,
             robot,
@@ -238,6 +246,8 @@ class ScanPlacer:
                 and (newest - item.scan.stamp > WAITING_NS or item.number < oldest_number)
             ),
         )
+        stamps = [item.scan.stamp for item in robot.waiting if item.sensor == sensor]
+        robot.sources[sensor].waiting = len(stamps), min(stamps), max(stamps)
 
     def _give_up(
         self, name: str, robot: _Robot, why: Reason, which: Callable[[_Waiting], bool] = lambda _: True

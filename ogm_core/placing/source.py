@@ -1,6 +1,6 @@
 """Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
 
-from ogm_core.placing.rules import JITTER_NS, remember
+from ogm_core.placing.rules import JITTER_NS, MAX_WAITING, WAITING_NS, remember
 from ogm_core.placing.sequence import Sequence
 from ogm_core.types import Scan
 
@@ -23,6 +23,8 @@ class Source:
         self.holds = False
         self.step_at: int | None = None
         """Number of the message with which its clock went back, if no new history has begun since."""
+        self.waiting: tuple[int, int, int] | None = None
+        """At most so many scans wait, and the smallest and largest of their stamps."""
         self.run: str | None = None
         self.replaced: list[str] = []
         """Runs whose scans came before those of `run`, the one heard last at the end."""
@@ -35,6 +37,15 @@ class Source:
         self._history = 0
         """The history in which its newest scan came."""
         self._repeats: list[int] = []
+
+    def crowds(self, stamp: int) -> bool:
+        """Note one more waiting scan; whether it is time to look if some have waited for too long.
+
+        What is noted are bounds: scans that wait no more are not taken off.
+        """
+        count, oldest, newest = self.waiting or (0, stamp, stamp)
+        self.waiting = count, oldest, newest = count + 1, min(oldest, stamp), max(newest, stamp)
+        return count > MAX_WAITING or newest - oldest > WAITING_NS
 
     def seen(self, scan: Scan) -> bool:
         """Whether a scan is a duplicate; run "" numbers nothing."""
@@ -72,6 +83,8 @@ class Source:
             self.holds = True
         if self.run is not None and scan.run != self.run:
             remember(self.replaced, self.run)
+            if scan.run in self.replaced:
+                self.replaced.remove(scan.run)
         self.run = scan.run
         same_history = self._history == histories
         back = 0

@@ -4,7 +4,6 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 
 
 def main() -> None:
@@ -13,7 +12,9 @@ def main() -> None:
     Not beside zenoh-ogm-client, whose files have the same names: whichever was installed last has written
     them, maybe those of another version. So nothing else of the project is loaded before this is known.
     """
-    if _installed("zenoh-ogm-client"):
+    with _quiet_interrupt():
+        beside_another = _installed("zenoh-ogm-client")
+    if beside_another:
         sys.exit(
             "ogm: zenoh-ogm and zenoh-ogm-client are both installed and overwrite each other's files: "
             "run `pip uninstall zenoh-ogm zenoh-ogm-client`, then install one of the two"
@@ -38,6 +39,8 @@ def _quiet_interrupt() -> Iterator[None]:
 
 
 def _installed(distribution: str) -> bool:
+    from importlib.metadata import PackageNotFoundError, version  # here, where Ctrl-C is quiet
+
     try:
         version(distribution)
     except PackageNotFoundError:

@@ -91,7 +91,11 @@ Url = Annotated[
     ),
 ]
 Log = Annotated[
-    Path, typer.Argument(metavar="LOG", help="Recording (.jsonl, .jsonl.gz) or CARMEN log (.log, .clf).")
+    Path,
+    typer.Argument(
+        metavar="LOG",
+        help="Recording (.jsonl), CARMEN log (.log, .clf) or g2o graph with scans (.g2o); .gz, too.",
+    ),
 ]
 
 

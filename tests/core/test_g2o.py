@@ -135,3 +135,13 @@ def test_a_recorded_graph_is_read_whole():
     assert (messages[0].pose, messages[1].pose) == (IDENTITY, Pose(0.344407, 0.000547, -0.051053))
     mounts = np.array([message.mount for message in messages])
     np.testing.assert_allclose(mounts, [[-0.04, 0.0, 0.0]] * 600, atol=5e-6)
+
+
+def test_a_second_sweep_below_a_vertex_needs_a_robots_pose_that_tells_whether_it_moved():
+    zero = {"pose": "0.4 0 0", "robot": "0 0 0"}
+    lines = [b"VERTEX2 0 0 0 0", robotlaser([1.5], **zero, ipc_time=5), robotlaser([1.5], **zero, ipc_time=6)]
+    messages, [(number, said)] = read(*lines)
+    assert (len(messages), number) == (1, 3)
+    assert "whether the robot has moved" in said
+    messages, complaints = read(*lines[:2], b"VERTEX2 1 1 0 0", lines[2])
+    assert (len(messages), complaints) == (2, [])

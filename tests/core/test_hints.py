@@ -46,7 +46,7 @@ def test_a_range_max_that_changes_now_and_then_is_none_that_differs_from_scan_to
 def test_more_than_5_percent_of_the_finite_ranges_beyond_range_max(share, hinted):
     ranges = [9.0] * share + [2.0] * (360 - share)
     assert told(scan(n, ranges) for n in range(60)) == ["beyond"] * hinted
-    assert told(scan(n, [math.inf] * 360) for n in range(60)) == []
+    assert told(scan(n, [math.inf, 2.0] * 180) for n in range(60)) == []
 
 
 @pytest.mark.parametrize(("unit", "hinted"), [(1, True), (10**3, True), (10**6, True), (10**9, False)])
@@ -91,3 +91,25 @@ def test_sources_are_told_apart():
     for source in ("a", "b", "a"):
         found += [(source, hint.slug) for hint in hints.look(source, scan(0, np.ones(400)))]
     assert found == [("a", "turns"), ("b", "turns")]
+
+
+def test_ranges_in_millimetres_are_hinted_at_otherwise():
+    hints = Hints()
+    found = [hint for n in range(60) for hint in hints.look("r/s", scan(n, [2000.0] * 360))]
+    assert ["are they in metres" in hint.text for hint in found if hint.slug == "beyond"] == [True]
+
+
+@pytest.mark.parametrize("value", [math.nan, 0.0, -math.inf, 0.05])
+def test_a_sensor_of_which_no_beam_counts(value):
+    assert told(scan(n, [value] * 360) for n in range(49)) == []
+    assert told(scan(n, [value] * 360) for n in range(60)) == ["nothing counts"]
+
+
+def test_a_sensor_that_never_has_a_return():
+    assert told(scan(n, [math.inf] * 360) for n in range(60)) == ["ignore_no_return"]
+    assert told(scan(n, [math.inf] * 359 + [2.0 if n == 7 else math.inf]) for n in range(60)) == []
+
+
+def test_a_scan_that_takes_longer_than_any_turn():
+    assert told([scan(0, time_increment=2.0 / 359)]) == []
+    assert told([scan(0, time_increment=0.1)]) == told([scan(0, time_increment=-0.1)]) == ["time_increment"]

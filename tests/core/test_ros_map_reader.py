@@ -328,3 +328,18 @@ def test_a_race_track_an_alpha_channel_and_a_map_that_is_turned(datasets, name, 
     assert np.array_equal(ros_map.occupied, greys <= 89)
     assert np.array_equal(ros_map.free, greys >= free_from)
     assert (ros_map.origin, ros_map.yaw) == (origin, yaw)
+
+
+@pytest.mark.parametrize(("free_thresh", "grey", "told"), [(0.25, 205, 1), (0.196, 205, 0), (0.25, 206, 0)])
+def test_much_grey_of_unknown_that_is_free_by_the_thresholds_is_told(tmp_path, free_thresh, grey, told):
+    picture = np.full((10, 10), 254, np.uint8)
+    picture[:3] = grey
+    (tmp_path / "map.pgm").write_bytes(b"P5\n10 10\n255\n" + picture.tobytes())
+    (tmp_path / "map.yaml").write_text(
+        f"image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+        f"occupied_thresh: 0.65\nfree_thresh: {free_thresh}\n"
+    )
+    said = []
+    read_ros_map(tmp_path / "map.yaml", said.append)
+    assert len(said) == told
+    assert all("30% of its picture are grey 205" in line and "free_thresh: 0.196" in line for line in said)

@@ -6,7 +6,7 @@ import pytest
 
 from mapper_desk import MS, T0, Desk
 from ogm_core.placing.robot_poses import LATE_IN_A_ROW
-from ogm_core.types import Pose
+from ogm_core.types import Pose, PoseStamped
 
 
 def counts(desk):
@@ -81,6 +81,16 @@ def test_a_run_whose_token_was_gone_before_its_first_pose_does_not_stay_in_the_w
     desk.placer.robot_gone("r", "b")
     desk.pose(120, run="b").pose(150, run="a", seq=9).pose(200, run="a", seq=10).scan(175, run="a")
     assert (counts(desk), desk.xs) == ({}, [pytest.approx(0.175)])
+
+
+def test_a_sensor_is_its_first_publishers_again_when_the_second_is_gone():
+    desk = drive(drive(Desk(), 0, 500, run="a").scan(100, run="a"), 0, 500, run="b").scan(200, run="b")
+    desk.pose(550, run="b", seq=50).placer.robot_gone("r", "b")
+    drive(desk, 600, 1200, run="a", seq=50)
+    for ms in range(700, 1100, 10):
+        desk.scan(ms, run="a")
+    drive(desk, 1250, 1300, run="a", seq=90)
+    assert (len(desk.order), desk.dropped) == (42, {})
 
 
 def test_where_no_token_was_seen_a_replaced_run_stays_replaced():
@@ -264,6 +274,32 @@ def test_pose_gap_is_a_setting():
 
 
 # ---- the scans' clock
+
+
+def test_a_pose_that_is_sent_again_and_again_does_not_keep_scans_waiting():
+    desk = Desk()
+    for second in range(10):
+        desk.now = float(second)
+        desk.pose(0, run="a").scan(100 + second, run="a")
+        desk.placer.expire(desk.now)
+    assert desk.pending <= 3
+    assert desk.dropped == {"no_pose": 10 - desk.pending}
+
+
+def test_a_robot_of_which_no_pose_ever_came_is_told_of_the_names_that_have_poses():
+    desk = Desk().pose(0, robot="amcl").scan(0, robot="lidar").scan(0, robot="r")
+    desk.placer.expire(100.0)
+    assert "no pose of robot lidar has ever come (there are poses of amcl)" in said(desk, "no pose ever")[0]
+    desk.pose(0).scan(10).placer.finish()
+    assert "the log ends before" in said(desk, "log ended")[0]
+
+
+def test_stamps_that_are_years_apart_are_no_question_of_clocks():
+    desk = Desk()
+    desk.placer.add_pose("r", PoseStamped(1_700_000_000, Pose(0, 0, 0)))
+    desk.scan(0)
+    assert "one of the two is not in ns" in said(desk, "ahead")[0]
+    assert "not in ns" not in said(drive(Desk(), 0, 1000).scan(4000, run="a"), "ahead")[0]
 
 
 def test_a_scan_far_ahead_of_the_poses_is_not_waited_for():

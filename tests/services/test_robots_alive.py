@@ -2,13 +2,16 @@
 
 import logging
 import threading
+from dataclasses import replace
 
 import pytest
 
 from ogm_client import RobotPublisher
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.types import Pose, PoseStamped
 from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.values import scan_of
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.runtime.limited_log import LimitedLog
@@ -78,6 +81,39 @@ def test_a_run_that_was_replaced_owns_again_when_its_heir_is_gone(mapper, eventu
         pose(old, 4)
         eventually(lambda: mapper.status()["robots"]["r1"]["stamp"] == T0 + 400_000_000)
         assert poses("superseded") == 1
+
+
+def test_a_robot_goes_on_after_a_replay_of_its_name_and_of_recorded_runs(mapper, eventually):
+    def drive(put_pose, put_scan, first, count):
+        for k in range(first, first + count):
+            stamp = T0 + 100_000_000 * k
+            put_pose(k, stamp)
+            put_scan(k, stamp)
+
+    def live(robot):
+        return (
+            lambda k, stamp: robot.publish_pose(0.01 * k, 0.0, 0.0, stamp=stamp),
+            lambda k, stamp: robot.publish_scan([1.0], **SWEEP, stamp=stamp),
+        )
+
+    def recorded(robot):
+        scan = scan_of([1.0], **SWEEP)
+        return (
+            lambda k, stamp: robot.put_pose(PoseStamped(stamp, Pose(0.0, 0.01 * k, 0.0), k, "x.recorded")),
+            lambda k, stamp: robot.put_scan("laser", replace(scan, stamp=stamp, seq=k, run="x.recorded")),
+        )
+
+    with publisher(mapper, "r1", run="live") as robot:
+        drive(*live(robot), 0, 5)
+        mapper.settle(received=5)
+        with publisher(mapper, "r1", run="x") as replay:
+            drive(*recorded(replay), 0, 5)
+            eventually(lambda: mapper.status()["scans"]["received"] == 10)
+        eventually(lambda: [*mapper.session.liveliness().get("ogm/v1/hall/alive/robot/r1/*")][1:] == [])
+        drive(*live(robot), 5, 20)
+        robot.publish_pose(0.3, 0.0, 0.0, stamp=T0 + 100_000_000 * 25)
+        scans = mapper.settle(received=30)["scans"]
+    assert (scans["integrated"], scans["dropped"]["superseded"]) == (30, 0)
 
 
 def test_the_worker_hears_of_the_end_after_the_messages_that_came_before(listener, endpoint, eventually):

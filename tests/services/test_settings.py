@@ -127,6 +127,10 @@ def test_a_file_holds_plain_yaml_values(load):
             {"env": {"OGM_MAP__RESOLUTON": "1"}},
             "environment OGM_MAP__RESOLUTON: unknown setting (did you mean OGM_MAP__RESOLUTION?)",
         ),
+        (
+            {"env": {"OGM_MAP_P_OCC": "0.8"}},
+            "environment OGM_MAP_P_OCC: unknown setting (did you mean OGM_MAP__P_OCC?)",
+        ),
         ({"env": {"OGM_MAPS__ALPHA": "1"}}, "environment OGM_MAPS__ALPHA: unknown setting"),
         ({"env": {"OGM_map__alpha": "1"}}, "environment OGM_map__alpha: unknown setting"),
         (

@@ -88,7 +88,7 @@ def run_build(
     report = _report(messages, feed.receipts, first)
     complaints = feed.complaints.lines()
     if snapshot.empty or not grid.cell_updates:
-        raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:1]]))
+        raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
     complaints += [f"sensors: {glob}: no sensor of this log is called so" for glob in feed.sensors.unmatched]
     for line in complaints:
         typer.echo(line, err=True)

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ogm_core.errors import BadSetting
 from ogm_core.placing.sensor_rules import MAX_TIME_OFFSET, Beyond, SensorRule
@@ -30,6 +30,12 @@ def _number(value: object) -> object:
     return value
 
 
+def _of_source(glob: str) -> str:
+    if "/" not in glob and not glob.endswith("*"):
+        raise ValueError("the name of a robot's sensor is needed, such as r1/laser or */laser")
+    return glob
+
+
 Switch = Annotated[bool | None, BeforeValidator(_switch)]
 Range = Annotated[NotNegative, Field(le=MAX_RANGE), BeforeValidator(_number)]
 Offset = Annotated[Finite, Field(ge=-MAX_TIME_OFFSET, le=MAX_TIME_OFFSET), BeforeValidator(_number)]
@@ -41,7 +47,7 @@ class SensorSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    match: Annotated[str, Field(min_length=1)]
+    match: Annotated[str, AfterValidator(_of_source)]
     time_offset: Offset | None = None
     range_min: Range | None = None
     range_max: Range | None = None

@@ -146,6 +146,10 @@ def _mapping(content: object, where: str) -> Mapping[Any, Any]:
 def _from_environment(environ: Mapping[str, str]) -> _Source:
     known = {name.upper(): setting for name, setting in _names("OGM_{}__{}").items()}
     given: _Source = {}
+    for name in environ:
+        meant = next((one for one in known if one.replace("__", "_") == name), None)
+        if meant is not None:
+            raise BadSetting(f"environment {name}: unknown setting (did you mean {meant}?)")
     for name in filter(_is_setting, environ):
         if "__" not in name:
             continue  # the sensors'

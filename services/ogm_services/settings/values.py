@@ -72,7 +72,7 @@ def parse_pose(value: object) -> Pose:
     Raises:
         ValueError: it is neither, or a number is not finite.
     """
-    parts = value.split(",") if isinstance(value, str) else value
+    parts = value.strip("[ ]").split(",") if isinstance(value, str) else value
     try:
         if (
             isinstance(parts, list | tuple)
