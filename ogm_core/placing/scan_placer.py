@@ -240,7 +240,7 @@ class ScanPlacer:
         self._give_up(
             name,
             robot,
-            reasons.CROWDED,
+            self._why_none(name, robot, reasons.CROWDED),
             lambda item: (
                 item.sensor == sensor
                 and (newest - item.scan.stamp > WAITING_NS or item.number < oldest_number)
