@@ -128,7 +128,7 @@ class Hints:
             cure = _METRES if share > _MOST else _CLEAR
             found.append(Hint("beyond", _BEYOND.format(share, scan.range_max) + cure))
         if seen.looked_at >= CLOSELY and not seen.usable:
-            found.append(Hint("nothing counts", _NOTHING_COUNTS.format(scan.range_min, scan.range_max)))
+            found.append(Hint("nothing_counts", _NOTHING_COUNTS.format(scan.range_min, scan.range_max)))
         if seen.looked_at >= CLOSELY and seen.usable == seen.empty > 0:
             found.append(Hint("ignore_no_return", _NO_HIT))
         if seen.scans == ENOUGH:

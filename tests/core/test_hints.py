@@ -102,7 +102,7 @@ def test_ranges_in_millimetres_are_hinted_at_otherwise():
 @pytest.mark.parametrize("value", [math.nan, 0.0, -math.inf, 0.05])
 def test_a_sensor_of_which_no_beam_counts(value):
     assert told(scan(n, [value] * 360) for n in range(49)) == []
-    assert told(scan(n, [value] * 360) for n in range(60)) == ["nothing counts"]
+    assert told(scan(n, [value] * 360) for n in range(60)) == ["nothing_counts"]
 
 
 def test_a_sensor_that_never_has_a_return():
