@@ -18,6 +18,7 @@ instead, and a sweep has none of its own (carmen_mount says which mount).
 A range at or above the maximum means "nothing" here, and is handed on as infinite.
 """
 
+import math
 import re
 from collections import Counter
 from dataclasses import replace
@@ -34,6 +35,11 @@ SENSOR = "laser"
 _MESSAGE_NAME = re.compile(r"[A-Z][A-Z0-9_:-]{0,63}")
 _MAX_NAMES = 50
 """How many names of unread messages are told apart: any text's words in capitals look like such names."""
+
+_OTHER_STEP = (
+    "its {} beams are taken as {:g} degrees apart, those of a SICK LMS, but its PARAM line says {:g}: if "
+    "that is right, give the beams as ROBOTLASER1, which names their bearings"
+)
 
 
 class CarmenLog:
@@ -54,6 +60,8 @@ class CarmenLog:
         decimals: ReadDecimals | None = None,
     ) -> None:
         self.unread: Counter[str] = Counter()
+        self.doubt = ""
+        """What contradicts how its lines are read; "" if nothing does."""
         self._known = Known(range_max, max_beams, needs_time=mount is not None, step=None)
         self._mount = mount
         self._decimals = decimals
@@ -93,6 +101,9 @@ class CarmenLog:
         except BadMessage as error:
             raise BadMessage(f"{name}: {error}") from error
         self._form = name
+        step, taken = self._known.step, math.degrees(sweep.scan.angle_increment)
+        if name == "FLASER" and step is not None and not math.isclose(step, taken):
+            self.doubt = _OTHER_STEP.format(sweep.scan.ranges.size, taken, step)
         return sweep
 
     def lasers_passed_over(self) -> str:

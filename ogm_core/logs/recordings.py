@@ -137,6 +137,11 @@ class RecordingReader:
         """The laser messages of a CARMEN log that were passed over, as "20 RLASER"; "" if there were none."""
         return "" if self._carmen is None else self._carmen.lasers_passed_over()
 
+    @property
+    def doubt(self) -> str:
+        """What in a CARMEN log contradicts how it is read; "" if nothing does."""
+        return "" if self._carmen is None else self._carmen.doubt
+
     def __enter__(self) -> Self:
         file = self._opened()
         try:

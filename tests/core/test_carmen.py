@@ -265,6 +265,17 @@ def test_the_steps_of_the_lms_are_what_they_are_whatever_a_parameter_says():
     assert math.degrees(scan.message.angle_increment) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("beams", "degrees", "doubted"), [(180, b"1", False), (181, b"0.5", True), (361, b"0.5", False)]
+)
+def test_a_parameter_that_contradicts_the_steps_of_the_lms_is_told(beams, degrees, doubted):
+    log = CarmenLog()
+    for line in (RESOLUTION % degrees, flaser([1] * beams)):
+        log.parse_line(line)
+    assert log.doubt.startswith("its 181 beams are taken as 1 degrees apart") == doubted
+    assert bool(log.doubt) == doubted
+
+
 @pytest.mark.parametrize("value", [b"", b"auto", b"0", b"-1", b"nan", b"inf", b"0_5"])
 def test_a_step_that_is_none_is_none(value):
     messages, [(_, said)] = read(RESOLUTION % value, flaser([1] * 541))

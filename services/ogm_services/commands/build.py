@@ -90,6 +90,8 @@ def run_build(
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
     complaints += [f"sensors: {glob}: no sensor of this log is called so" for glob in feed.sensors.unmatched]
+    if messages.doubt:
+        complaints.append(f"{log}: {messages.doubt}")
     for line in complaints:
         typer.echo(line, err=True)
     quality = _judged(reader, snapshot, first, hold_out, settings)

@@ -231,4 +231,6 @@ def _passed_over(messages: RecordingReader) -> str:
     text = ""
     if messages.malformed:
         text = f", {messages.malformed} malformed lines passed over ({'; '.join(messages.complaints)})"
-    return f"{text}, not read: {messages.not_read}" if messages.not_read else text
+    if messages.not_read:
+        text += f", not read: {messages.not_read}"
+    return f"{text}; {messages.doubt}" if messages.doubt else text
