@@ -83,12 +83,11 @@ class Hints:
         seen.range_max = scan.range_max
         ranges = scan.ranges
         beyond = (ranges > np.float64(scan.range_max * ROUNDING)) & (ranges < math.inf)
+        beyonds = int(np.count_nonzero(beyond))
         seen.finite += int(np.count_nonzero(np.isfinite(ranges)))
-        seen.beyond += int(np.count_nonzero(beyond))
+        seen.beyond += beyonds
         seen.beams += ranges.size
-        seen.empty += int(np.count_nonzero(ranges >= np.float32(scan.range_max))) - int(
-            np.count_nonzero(beyond)
-        )
+        seen.empty += int(np.count_nonzero(ranges >= np.float32(scan.range_max))) - beyonds
         seen.usable += int(np.count_nonzero((ranges > 0.0) & (ranges >= scan.range_min) & ~beyond))
         found = [hint for hint in self._found(seen, scan) if hint.slug not in seen.told]
         seen.told.update(hint.slug for hint in found)

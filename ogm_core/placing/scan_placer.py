@@ -161,7 +161,7 @@ class ScanPlacer:
         """Drop every scan that has waited for longer than a scan may, as has its robot for a pose."""
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
-            if robot.waiting and now - robot.pose_heard > wait:
+            if robot.waiting and now - max(robot.pose_heard, robot.waiting[0].handed) > wait:
                 why = self._why_none(name, robot, reasons.waited(wait))
                 self._give_up(name, robot, why, lambda item: now - item.handed > wait)
 

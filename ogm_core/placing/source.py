@@ -36,7 +36,10 @@ class Source:
         """Largest stamp since its clock last went back or a new history began, ns."""
         self._history = 0
         """The history in which its newest scan came."""
-        self._repeats: list[int] = []
+        self._repeats = 0
+        """Duplicates in a row whose stamps rise."""
+        self._repeated = 0
+        """Stamp of the last of them, ns."""
 
     def crowds(self, stamp: int) -> bool:
         """Note one more waiting scan; whether it is time to look if some have waited for too long.
@@ -54,14 +57,13 @@ class Source:
 
     def repeats(self, scan: Scan) -> bool:
         """Note a duplicate; whether it is the tenth in a row whose stamps rise."""
-        if self._repeats and scan.stamp <= self._repeats[-1]:
-            self._repeats.clear()
-        self._repeats.append(scan.stamp)
-        return len(self._repeats) == REPEATS_IN_A_ROW
+        rises = scan.stamp > self._repeated
+        self._repeats, self._repeated = self._repeats + 1 if rises else 1, scan.stamp
+        return self._repeats == REPEATS_IN_A_ROW
 
     def number(self, scan: Scan) -> None:
         """Note the seq of a scan that is no duplicate."""
-        self._repeats.clear()
+        self._repeats = 0
         run, sequence = scan.run, self._runs.get(scan.run)
         if sequence is None or run != self._heard:
             self._runs.pop(run, None)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.model import row_bands
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import beams
 from ogm_core.sensor_models.projection import beam_model, project, read_only, sensor_poses
@@ -103,6 +104,13 @@ def agreement_of_hits(snapshot: MapSnapshot, scan: Scan, pose: Pose) -> tuple[in
             judged += 1
             agreeing += bool(probability[0, 0] > 0.5)
     return agreeing, judged
+
+
+def hints_by(snapshot: Callable[[], MapSnapshot], settings: GridSettings) -> Hints:
+    """Hints at sensors, by what the map of this moment says of their hits; `snapshot` takes it."""
+    return Hints(
+        lambda scan, pose: agreement_of_hits(snapshot(), scan, pose), sector=settings.sensor_model == "sector"
+    )
 
 
 def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[PlacedScan]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 from ogm_services.cli import app
 from ogm_services.runtime.kernel_cache import begins_empty
 from ogm_services.settings.sources import without_settings
+from room import lines
 
 STARTED = 120.0
 """How long a command may take to start, s: on a fresh checkout it compiles its kernels."""
@@ -321,3 +322,16 @@ def assert_equal_maps():
             np.testing.assert_array_equal(one[name], other[name], strict=True, err_msg=name)
 
     return check
+
+
+@pytest.fixture
+def built(ogm):
+    """What `ogm build` makes of messages: the map.npz, and what it says."""
+
+    def build(messages, *flags, **environ):
+        ogm.file("log.jsonl", lines(messages))
+        ended = ogm.call("build", "log.jsonl", "--out", "map", *flags, **environ)
+        assert ended.code == 0, ended
+        return ogm.map("map/map.npz"), ended.err + ended.out
+
+    return build

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from room import T0, S, astray, drive, lines, pose, ranges, scan
+from room import T0, S, astray, drive, pose, ranges, scan
 
 
 def east(t):
@@ -17,15 +17,14 @@ def north(t):
 
 
 @pytest.fixture
-def built(ogm):
+def built(built):
     """What `ogm build` makes of messages: (cells astray, occupied cells), scans integrated, what it says."""
 
+    build_map = built
+
     def build(messages, *flags, **environ):
-        ogm.file("log.jsonl", lines(messages))
-        ended = ogm.call("build", "log.jsonl", "--out", "map", *flags, **environ)
-        assert ended.code == 0, ended
-        integrated = int(re.search(r"(\d+) integrated", ended.out)[1])
-        return astray(ogm.map("map/map.npz")), integrated, ended.err + ended.out
+        npz, said = build_map(messages, *flags, **environ)
+        return astray(npz), int(re.search(r"(\d+) integrated", said)[1]), said
 
     return build
 

@@ -6,22 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from room import STEP, T0, S, astray, drive, lines, ranges, scan
+from room import STEP, T0, S, astray, drive, ranges, scan
 
 WALL = 5.025
-
-
-@pytest.fixture
-def built(ogm):
-    """What `ogm build` makes of messages: the map.npz, and what it says."""
-
-    def build(messages, *flags, **environ):
-        ogm.file("log.jsonl", lines(messages))
-        ended = ogm.call("build", "log.jsonl", "--out", "map", *flags, **environ)
-        assert ended.code == 0, ended
-        return ogm.map("map/map.npz"), ended.err + ended.out
-
-    return build
 
 
 def p_at(npz, x, y):

@@ -17,9 +17,8 @@ from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
 from ogm_core.logs.recordings import RecordingReader
-from ogm_core.placing.hints import Hints
 from ogm_core.placing.receipts import Receipts
-from ogm_core.quality.figures import Consistency, agreement_of_hits, held_out, quality_figures
+from ogm_core.quality.figures import Consistency, held_out, hints_by, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
@@ -78,12 +77,8 @@ def run_build(
 
     grid = OccupancyGrid(settings.grid_settings())
     first, feed = _MapPass(grid), LogFeed(settings, hold_out)
-    hints = Hints(
-        lambda scan, pose: agreement_of_hits(grid.snapshot(), scan, pose),
-        sector=grid.settings.sensor_model == "sector",
-    )
     with reader() as messages:
-        feed.run(messages, first, "mapping", hints)
+        feed.run(messages, first, "mapping", hints_by(grid.snapshot, grid.settings))
     snapshot = grid.snapshot()
     report = _report(messages, feed.receipts, first)
     complaints = feed.complaints.lines()

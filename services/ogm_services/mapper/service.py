@@ -19,11 +19,10 @@ import uvicorn
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import MapEmpty, OgmError
 from ogm_core.grid_settings import GridSettings
-from ogm_core.placing.hints import Hints
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.quality.figures import agreement_of_hits
+from ogm_core.quality.figures import hints_by
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
@@ -125,10 +124,7 @@ class MapperService:
         self._grid_settings = grid.settings
         self.live_map = LiveMap(grid)
         receipts, queue = Receipts(), ScanQueue(limits.queue)
-        hints = Hints(
-            lambda scan, pose: agreement_of_hits(self.live_map.snapshot(), scan, pose),
-            sector=grid.settings.sensor_model == "sector",
-        )
+        hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
         placer = ScanPlacer(self.live_map, receipts, complain, settings.placing_rules(), hints)
         self._queue, self._receipts, self._placer = queue, receipts, placer

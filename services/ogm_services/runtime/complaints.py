@@ -1,5 +1,7 @@
 """Complaints about a log's messages, told at its end: the first of every kind and source, with a count."""
 
+from collections import Counter
+
 MAX_LINES = 20
 """So many are told at most."""
 
@@ -9,12 +11,12 @@ class Complaints:
 
     def __init__(self) -> None:
         self._first: dict[tuple[str, str], str] = {}
-        self._counts: dict[tuple[str, str], int] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()
 
     def add(self, source: str, kind: str, text: str) -> None:
         """Take a complaint about a source, `<robot>/<sensor>` or `<robot>/pose`."""
         self._first.setdefault((source, kind), text)
-        self._counts[source, kind] = self._counts.get((source, kind), 0) + 1
+        self._counts[source, kind] += 1
 
     def lines(self) -> list[str]:
         """What to tell, in the order in which it was met."""

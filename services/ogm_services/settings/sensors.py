@@ -1,6 +1,5 @@
 """Settings of sensors: what is known of them that their messages do not say, or say wrong."""
 
-import difflib
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -10,7 +9,7 @@ from ogm_core.errors import BadSetting
 from ogm_core.placing.sensor_rules import MAX_TIME_OFFSET, Beyond, SensorRule
 from ogm_core.types import Pose
 from ogm_core.wire.messages import MAX_RANGE
-from ogm_services.settings.values import Finite, NotNegative, Positive, parse_pose
+from ogm_services.settings.values import Finite, NotNegative, Positive, did_you_mean, parse_pose
 
 FORM = "GLOB:KEY=VALUE,..."
 _SWITCHES = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
@@ -74,10 +73,8 @@ def read_entry(entry: object, source: str) -> SensorSettings:
         raise BadSetting(f"sensors: mappings with the key match are needed, got {entry!r:.60} ({source})")
     for key in map(str, entry):
         if key not in SensorSettings.model_fields:
-            close = difflib.get_close_matches(key, SensorSettings.model_fields, n=1)
-            raise BadSetting(
-                f"sensors.{key}: unknown setting{f' (did you mean {close[0]}?)' if close else ''} ({source})"
-            )
+            meant = did_you_mean(key, SensorSettings.model_fields)
+            raise BadSetting(f"sensors.{key}: unknown setting{meant} ({source})")
     try:
         made = SensorSettings.model_validate(dict(entry))
     except ValidationError as error:

@@ -4,7 +4,6 @@ A preset replaces the defaults, whichever source names it; every other setting t
 it.
 """
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import parse_yaml
 from ogm_services.settings.sensors import SensorSettings, parse_entry, read_entry
 from ogm_services.settings.settings import SECTIONS, Settings
-from ogm_services.settings.values import PRESETS
+from ogm_services.settings.values import PRESETS, did_you_mean
 
 SENSORS = "sensors"
 """The one section that is a list."""
@@ -146,10 +145,9 @@ def _mapping(content: object, where: str) -> Mapping[Any, Any]:
 def _from_environment(environ: Mapping[str, str]) -> _Source:
     known = {name.upper(): setting for name, setting in _names("OGM_{}__{}").items()}
     given: _Source = {}
-    for name in environ:
-        meant = next((one for one in known if one.replace("__", "_") == name), None)
-        if meant is not None:
-            raise BadSetting(f"environment {name}: unknown setting (did you mean {meant}?)")
+    single = {name.replace("__", "_"): name for name in known}
+    for name in filter(single.__contains__, environ):
+        raise BadSetting(f"environment {name}: unknown setting (did you mean {single[name]}?)")
     for name in filter(_is_setting, environ):
         if "__" not in name:
             continue  # the sensors'
@@ -180,8 +178,7 @@ def _names(form: str) -> dict[str, tuple[str, str]]:
 def _check_known(source: str, name: str, known: Mapping[str, object]) -> None:
     if name not in known:
         current = [other for other, setting in known.items() if setting not in RENAMED]
-        close = difflib.get_close_matches(name, current, n=1)
-        raise BadSetting(f"{source}{name}: unknown setting{f' (did you mean {close[0]}?)' if close else ''}")
+        raise BadSetting(f"{source}{name}: unknown setting{did_you_mean(name, current)}")
 
 
 def _in_words(problem: ErrorDetails, given: _Source) -> str:

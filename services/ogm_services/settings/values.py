@@ -1,8 +1,9 @@
 """Values of settings: what they can be, how they are written as text, and the presets."""
 
+import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -45,6 +46,12 @@ def parse_number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"a number is needed, got {text!r}")
     return float(text)
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The known name that an unknown one is closest to, as a part of a sentence; "" if none is close."""
+    close = difflib.get_close_matches(name, known, n=1)
+    return f" (did you mean {close[0]}?)" if close else ""
 
 
 def parse_region(value: object) -> Region:
