@@ -40,6 +40,12 @@ class PoseCounts:
     outlier: int = 0
     superseded: int = 0
 
+    @property
+    def odd(self) -> dict[str, int]:
+        """What was odd about how many, without what was odd about none."""
+        counts = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "received"}
+        return {what: count for what, count in counts.items() if count}
+
 
 @dataclass(frozen=True, slots=True)
 class OtherCounts:

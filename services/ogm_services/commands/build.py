@@ -6,7 +6,7 @@ is too large for that.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -196,8 +196,7 @@ def _report(messages: RecordingReader, receipts: Receipts, first: _MapPass) -> s
     if first.held:
         parts.append(f"{len(first.held)} held out")
     parts += [f"{count} dropped: {reason}" for reason, count in counts.scans.dropped.items() if count]
-    odd = {field.name: getattr(counts.poses, field.name) for field in fields(counts.poses)}
-    parts += [f"{count} poses {what}" for what, count in odd.items() if count and what != "received"]
+    parts += [f"{count} poses {what}" for what, count in counts.poses.odd.items()]
     if messages.malformed:
         parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
     if messages.not_read:

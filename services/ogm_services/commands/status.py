@@ -93,9 +93,7 @@ def _table(*left: str, right: tuple[str, ...] = ()) -> Table:
 
 def _poses(poses: PoseCounts) -> str:
     """Those received, and of the odd ones those that there are."""
-    odd = ("malformed", "late", "restarted", "ambiguous", "outlier", "superseded")
-    counts = [f"{getattr(poses, name)} {name}" for name in odd if getattr(poses, name)]
-    return ", ".join([f"{poses.received} received", *counts])
+    return ", ".join([f"{poses.received} received", *(f"{n} {what}" for what, n in poses.odd.items())])
 
 
 def _nonzero(dropped: Mapping[str, int]) -> str:
