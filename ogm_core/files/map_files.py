@@ -81,7 +81,7 @@ def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> by
     Raises:
         BadParameter: no such values.
     """
-    entries = snap.encode(_chosen(_VALUES, "values", values))
+    entries = snap.encode(_chosen(VALUES, "values", values))
     head = json.dumps({"map": map_name, "frame": FRAME, **snap.meta()})
     data = entries.reshape(-1).view(np.uint8).data
     return b"".join((head[:-1].encode(), b', "data": [', data[:-1], b"]}"))  # without the last comma
@@ -188,7 +188,7 @@ def _json_trinary(p: Probability, known: Known) -> NDArray[np.uint32]:
     return _ENTRIES[trinary(p, known) + 1]
 
 
-_VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}
+VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}
 
 
 def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:

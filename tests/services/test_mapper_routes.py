@@ -271,6 +271,50 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
             assert parameter["required"] == (path == "/cell")
 
 
+def test_openapi_documents_what_a_route_may_answer(cross):
+    paths = cross.http.get("/openapi.json").json()["paths"]
+    documented = {
+        path: set(operation["responses"]) for path, item in paths.items() for operation in item.values()
+    }
+    assert all(answers >= {"200", "400"} for answers in documented.values())
+    assert {path for path, answers in documented.items() if "304" in answers} == set(ROUTES[:5])
+    for path, query, status in (
+        ("/map.png", "palette=blue", 400),
+        ("/map.json", "values=", 400),
+        ("/map.pgm", "region=1,1,0,0", 400),
+        ("/map.png", "max_size=0", 400),
+        ("/cell", "x=east&y=0", 400),
+    ):
+        response = cross.http.get(f"{path}?{query}")
+        assert response.status_code == status
+        described = paths[path]["get"]["responses"][str(status)]["content"]
+        assert list(described) == [response.headers["content-type"]]
+        schema = described["application/problem+json"]["schema"]
+        assert set(response.json()) == set(schema["required"]) == set(schema["properties"])
+
+
+def test_openapi_describes_values_that_are_taken_and_no_others(cross):
+    paths = cross.http.get("/openapi.json").json()["paths"]
+    schema = {
+        (path, parameter["name"]): parameter["schema"]
+        for path, item in paths.items()
+        for parameter in item.get("get", {}).get("parameters", [])
+    }
+    for name in ("palette", "values"):
+        [path, *_] = [path for path, of in schema if of == name]
+        for value in schema[path, name]["enum"]:
+            assert cross.http.get(path, params={name: value}).status_code == 200
+    region = re.compile(schema["/map.png", "region"]["pattern"])
+    for text, fits in (
+        ("-1,-1,1,1", True),
+        ("-1.5,-0.25,+1,1.0", True),
+        ("1,2,3", False),
+        ("a,0,1,1", False),
+    ):
+        assert bool(region.fullmatch(text)) == fits
+        assert (cross.http.get("/map.png", params={"region": text}).status_code == 200) == fits
+
+
 @pytest.mark.parametrize(
     "path", ["/nothing", "/map", "/map.gif", "/cell/1", "/reset/x", "/redoc", "/static-offline-docs/x"]
 )

@@ -18,6 +18,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from ogm_core.errors import BadParameter, OgmError
 from ogm_core.status import Status
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
+from ogm_services.mapper.serving.api_description import (
+    Responses,
+    described_parameters,
+    map_responses,
+    probe_responses,
+    responses,
+)
 from ogm_services.mapper.serving.metrics import prometheus_text
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.same_origin import SameOrigin
@@ -31,15 +38,6 @@ RETRY_AFTER = "2"
 
 log = logging.getLogger(__name__)
 Handler = Callable[[Request], Awaitable[Response]]
-
-_PARAMETERS = {
-    "region": "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
-    "palette": "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
-    "max_size": "longest side in pixels: the picture is shrunk by a whole factor",
-    "values": "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
-    "x": "metres, map frame",
-    "y": "metres, map frame",
-}
 
 
 @dataclass(frozen=True)
@@ -100,13 +98,18 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
     app.add_middleware(_WithoutUnheard)  # the last one is the first that a request meets
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
-        _get(app, f"/map.{form}", handler, wanted.media_type, summary, sorted(wanted.parameters))
-    _get(app, "/cell", _handler(answers.cell), "application/json", "One cell", ["x", "y"])
-    _get(app, "/quality", _handler(answers.quality), "application/json", "The quality figures")
-    _get(app, "/status", _handler(answers.status), "application/json", "The mapper's status", model=Status)
+        described = map_responses(wanted.media_type)
+        _get(app, f"/map.{form}", handler, described, summary, sorted(wanted.parameters))
+    _get(app, "/cell", _handler(answers.cell), responses("application/json"), "One cell", ["x", "y"])
+    _get(app, "/quality", _handler(answers.quality), responses("application/json"), "The quality figures")
+    _get(
+        app, "/status", _handler(answers.status), responses("application/json", Status), "The mapper's status"
+    )
     _add_service_routes(app, answers, health, version)
 
-    @app.post("/reset", summary="Empty the map: a new epoch, revision 0", responses={200: {"model": Status}})
+    described = responses("application/json", Status, problems=(401, 403, 413, 503))
+
+    @app.post("/reset", summary="Empty the map: a new epoch, revision 0", responses=described)
     async def post_reset(request: Request) -> Response:
         _parameters_of(request, allowed=False)
         await run_in_threadpool(reset)
@@ -137,40 +140,29 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
 
-    _get(app, "/", show_page, "text/html", "The live page")
-    _get(app, "/livez", livez, "text/plain", "Whether the mapper works: 200 or 503")
-    _get(app, "/readyz", readyz, "text/plain", "Whether it takes scans: 200 or 503")
-    _get(app, "/metrics", metrics, "text/plain", "The status as Prometheus text")
-    _get(app, "/version", show_version, "application/json", "Name and version of this program")
+    _get(app, "/", show_page, responses("text/html"), "The live page")
+    _get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
+    _get(app, "/readyz", readyz, probe_responses(), "Whether it takes scans: 200 or 503")
+    _get(app, "/metrics", metrics, responses("text/plain"), "The status as Prometheus text")
+    _get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
 
 
 def _get(
     app: FastAPI,
     path: str,
     handler: Handler,
-    media_type: str,
+    answers: Responses,
     summary: str,
     parameters: Sequence[str] = (),
-    model: type | None = None,
 ) -> None:
-    """Route GET and HEAD; parameters and the reply's `model` are documented here, and made elsewhere."""
-    described = [
-        {
-            "name": name,
-            "in": "query",
-            "required": name in ("x", "y"),
-            "description": _PARAMETERS[name],
-            "schema": {"type": "string"},
-        }
-        for name in parameters
-    ]
+    """Route GET and HEAD; what is documented here is made elsewhere."""
     app.add_api_route(
         path,
         handler,
         summary=summary,
-        response_class=Response,  # without a media type of its own, so that the one given here stands alone
-        responses={200: {"content": {media_type: {}}, "model": model}},
-        openapi_extra={"parameters": described} if described else None,
+        response_class=Response,  # without a media type of its own, so that the described one stands alone
+        responses=answers,
+        openapi_extra={"parameters": described_parameters(parameters)} if parameters else None,
     )
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 

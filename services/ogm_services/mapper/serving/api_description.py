@@ -1,0 +1,89 @@
+"""OpenAPI description of the mapper's HTTP routes: their parameters, and what each of them may answer."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from ogm_core.files.map_files import PALETTES, VALUES
+from ogm_services.replies.problems import MEDIA_TYPE
+
+Responses = dict[int | str, dict[str, Any]]
+
+_NUMBER = r"[-+]?[0-9]{1,6}(\.[0-9]{1,6})?"
+_PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "region": (
+        "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
+        {"type": "string", "pattern": f"^{_NUMBER}(,{_NUMBER}){{3}}$"},
+    ),
+    "palette": (
+        "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
+        {"type": "string", "enum": list(PALETTES)},
+    ),
+    "max_size": (
+        "longest side in pixels: the picture is shrunk by a whole factor",
+        {"type": "integer", "minimum": 1, "maximum": 999_999_999},
+    ),
+    "values": (
+        "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
+        {"type": "string", "enum": list(VALUES)},
+    ),
+    "x": ("metres, map frame", {"type": "number"}),
+    "y": ("metres, map frame", {"type": "number"}),
+}
+_REQUIRED = frozenset("xy")
+
+
+_PROBLEM = {
+    "type": "object",
+    "required": ["type", "title", "status", "detail"],
+    "properties": {name: {"type": "string"} for name in ("type", "title", "detail")}
+    | {"status": {"type": "integer"}},
+}
+"""What went wrong (RFC 9457)."""
+_PROBLEMS = {
+    400: "The request is ill-formed, or a parameter is unknown or wrong",
+    401: "A write needs the mapper's token",
+    403: "A page of another origin asks for a write",
+    404: "The map has no known cell",
+    412: "The map is not the one that If-Match names",
+    413: "The body is longer than a write's may be",
+    421: "The Host header is no name of this mapper",
+    503: "The mapper is starting, stopping or busy: Retry-After says when to ask again",
+}
+_OF_EVERY_ROUTE = (400, 421)
+
+
+def described_parameters(names: Iterable[str]) -> list[dict[str, Any]]:
+    """The query parameters of a route, as OpenAPI describes them."""
+    return [
+        {
+            "name": name,
+            "in": "query",
+            "required": name in _REQUIRED,
+            "description": _PARAMETERS[name][0],
+            "schema": _PARAMETERS[name][1],
+        }
+        for name in names
+    ]
+
+
+def responses(media_type: str, model: type | None = None, problems: Iterable[int] = (503,)) -> Responses:
+    """What a route may answer: a body of `media_type`, JSON of a `model` if there is one, or a problem."""
+    described: Responses = {200: {"content": {media_type: {}}, "model": model}}
+    for status in sorted({*_OF_EVERY_ROUTE, *problems}):
+        described[status] = {
+            "description": _PROBLEMS[status],
+            "content": {MEDIA_TYPE: {"schema": _PROBLEM}},
+        }
+    return described
+
+
+def probe_responses() -> Responses:
+    """What a probe may answer: plain text either way."""
+    unhealthy = {"description": "It is not; the text says why", "content": {"text/plain": {}}}
+    return {**responses("text/plain", problems=()), 503: unhealthy}
+
+
+def map_responses(media_type: str) -> Responses:
+    """What a map's route may answer, validators included."""
+    unchanged = {"description": "The map is the one that If-None-Match names"}
+    return {**responses(media_type, problems=(404, 412, 503)), 304: unchanged}
