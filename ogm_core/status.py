@@ -28,8 +28,9 @@ class ScanCounts:
 class PoseCounts:
     """Poses of all robots: those that arrived, and what was odd about some of them.
 
-    `late`, `outlier`, `superseded` and `malformed` ones are not used; with a `restarted` one a robot's time
-    begins anew, and an `ambiguous` one has the stamp of another that says something else.
+    `late`, `outlier`, `superseded`, `malformed` and `refused` ones, those of one robot too many, are not
+    used; with a `restarted` one a robot's time begins anew, and an `ambiguous` one has the stamp of another
+    that says something else.
     """
 
     received: int
@@ -39,6 +40,7 @@ class PoseCounts:
     ambiguous: int = 0
     outlier: int = 0
     superseded: int = 0
+    refused: int = 0
 
     @property
     def odd(self) -> dict[str, int]:

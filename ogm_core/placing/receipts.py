@@ -9,10 +9,19 @@ from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus,
 from ogm_core.types import Pose
 
 DropReason = Literal[
-    "malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "superseded", "failed"
+    "malformed",
+    "no_pose",
+    "duplicate",
+    "stale",
+    "overload",
+    "limit",
+    "outside",
+    "superseded",
+    "failed",
+    "refused",
 ]
 DROP_REASONS: tuple[DropReason, ...] = get_args(DropReason)
-PoseNote = Literal["malformed", "late", "restarted", "ambiguous", "outlier", "superseded"]
+PoseNote = Literal["malformed", "late", "restarted", "ambiguous", "outlier", "superseded", "refused"]
 """What is odd about a pose."""
 
 

@@ -40,7 +40,7 @@ def test_what_only_a_newer_mapper_says_is_passed_over():
 def test_reasons_that_an_older_mapper_does_not_know_are_not_needed():
     older = sent()
     older["scans"]["dropped"] = {}
-    for name in ("restarted", "ambiguous", "outlier", "superseded"):
+    for name in ("restarted", "ambiguous", "outlier", "superseded", "refused"):
         del older["poses"][name]
     for name in ("alive", "age_s"):
         del older["robots"]["r2"][name]

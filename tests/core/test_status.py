@@ -35,7 +35,7 @@ def test_its_json_is_word_for_word_this():
         b'"scans": {"received": 50, "integrated": 41, "pending": 2, '
         b'"dropped": {"malformed": 0, "no_pose": 7}}, '
         b'"poses": {"received": 60, "malformed": 1, "late": 3, "restarted": 2, "ambiguous": 4, '
-        b'"outlier": 5, "superseded": 6}, "other": {"ignored": 5}, '
+        b'"outlier": 5, "superseded": 6, "refused": 7}, "other": {"ignored": 5}, '
         b'"map_info": {"known_cells": 1234, "bytes": 2500000, "width": 400, "height": 300, '
         b'"resolution": 0.05}, '
         b'"robots": {"r2": {"pose": [1.0, -2.5, 0.1], "stamp": 7, "alive": true, "age_s": 0.25, "sources": '

@@ -150,6 +150,7 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
         ("ogm_poses_refused_total", "late"): poses["late"],
         ("ogm_poses_refused_total", "outlier"): 0,
         ("ogm_poses_refused_total", "superseded"): 0,
+        ("ogm_poses_refused_total", "refused"): 0,
         ("ogm_poses_restarted_total",): 0,
         ("ogm_poses_ambiguous_total",): 0,
         ("ogm_messages_ignored_total",): status["other"]["ignored"],

@@ -18,6 +18,7 @@ def test_metrics_say_what_the_status_says():
         'ogm_poses_refused_total{map="hall",reason="late"} 3',
         'ogm_poses_refused_total{map="hall",reason="outlier"} 5',
         'ogm_poses_refused_total{map="hall",reason="superseded"} 6',
+        'ogm_poses_refused_total{map="hall",reason="refused"} 7',
         'ogm_poses_restarted_total{map="hall"} 2',
         'ogm_poses_ambiguous_total{map="hall"} 4',
         'ogm_messages_ignored_total{map="hall"} 5',

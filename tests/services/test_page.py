@@ -114,6 +114,7 @@ def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
         "poses ambiguous": "4",
         "poses outlier": "5",
         "poses superseded": "6",
+        "poses refused": "7",
     }
     assert rows(dom, "reasons") == [
         ["here/front: no_pose", "5"],

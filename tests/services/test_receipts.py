@@ -22,7 +22,7 @@ def test_an_empty_ledger_has_every_name_of_the_status():
     }
     assert (
         *("malformed", "no_pose", "duplicate", "stale", "overload", "limit", "outside", "superseded"),
-        "failed",
+        *("failed", "refused"),
     ) == DROP_REASONS
 
 

@@ -18,6 +18,7 @@ WHAT_HELPS: Mapping[str, str] = {
     "outside": "every beam leaves the map's bounds",
     "superseded": "another publisher has taken over the robot's name: give every robot a name of its own",
     "failed": "a bug of the mapper: its log has the traceback",
+    "refused": "of too many robots, or sensors of a robot: use the same names at every start",
 }
 """Why scans are dropped, and what to do, by reason."""
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"

@@ -46,6 +46,9 @@ from ogm_services.settings.values import (
     WholeNumber,
 )
 
+DEFAULT_MAX_MEMORY = 2 * DEFAULT_MAX_BYTES + 1024**3
+"""The largest map, the copy of it that readers get, and 1 GiB for all else (the queue takes up to 256 MB)."""
+
 if TYPE_CHECKING:
     from ogm_client.session import NetworkConfig
 
@@ -131,8 +134,9 @@ class HttpSettings(_Section):
 class MapperSettings(_Section):
     """The mapper's limits, and what its map starts with.
 
-    `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_beams` of one scan,
-    `queue` in scans. `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
+    `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_memory` of all that robots
+    and readers make it hold, `max_beams` of one scan, `queue` in scans.
+    `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
     `PlacingRules`. `start_map` is the YAML file of a ROS map, or a map.npz; a relative path starts at the
     working folder; `start_confidence` the probability that a ROS map's occupied cells are occupied, and its
     free ones free.
@@ -140,6 +144,7 @@ class MapperSettings(_Section):
 
     max_cells: Count = DEFAULT_MAX_CELLS
     max_bytes: Count = DEFAULT_MAX_BYTES
+    max_memory: Count = DEFAULT_MAX_MEMORY
     max_beams: Count = 200_000
     pose_wait: NotNegative = DEFAULT_RULES.pose_wait
     pose_gap: Positive = DEFAULT_RULES.pose_gap

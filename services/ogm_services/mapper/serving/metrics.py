@@ -46,7 +46,7 @@ def _scans(text: _Text, scans: ScanCounts) -> None:
 
 def _poses(text: _Text, poses: PoseCounts) -> None:
     text.single("ogm_poses_received_total", "counter", "Poses that arrived.", poses.received)
-    reasons = ("malformed", "late", "outlier", "superseded")
+    reasons = ("malformed", "late", "outlier", "superseded", "refused")
     refused = {f',reason="{reason}"': getattr(poses, reason) for reason in reasons}
     text.family("ogm_poses_refused_total", "counter", "Poses that were not used.", refused)
     text.single("ogm_poses_restarted_total", "counter", "Poses whose clock had gone back.", poses.restarted)
