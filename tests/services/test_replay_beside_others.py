@@ -1,7 +1,10 @@
 """A replay judges the mapper by the log's own scans, whatever other robots do meanwhile."""
 
+import hashlib
+import re
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,3 +73,22 @@ def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp
         pytest.raises(ReplayFailed, match=r"stopped taking scans: 64 scans sent, 0 integrated, 64 dropped"),
     ):
         replay_into(mapper, log)
+
+
+def test_a_recorded_run_gets_a_fresh_name_no_longer_than_a_name_may_be(mapper, tmp_path):
+    recorded = ["", "r", "r" * 55, "r" * 55 + "1", "r" * 55 + "2", "r" * 64]
+    scan = Scan(7, 0.0, 0.1, 0.0, 8.0, np.ones(8, np.float32), pose=IDENTITY, seq=5)
+    scans = [RecordedScan("logged", f"s{k}", replace(scan, run=run)) for k, run in enumerate(recorded)]
+    write_jsonl(tmp_path / "log.jsonl", scans)
+    seen = set()
+    for _ in range(2):
+        replay_into(mapper, tmp_path / "log.jsonl")
+        sources = mapper.status()["robots"]["logged"]["sources"]
+        runs = [sources[f"s{k}"]["run"] for k in range(len(recorded))]
+        fresh = runs[0]
+        assert re.fullmatch("[0-9a-f]{8}", fresh)
+        digests = [hashlib.sha256(run.encode()).hexdigest()[:16] for run in recorded[3:]]
+        assert runs[1:] == [f"{fresh}.{ending}" for ending in (*recorded[1:3], *digests)]
+        assert [source["last_seq"] for source in sources.values()] == [0, 5, 5, 5, 5, 5]
+        seen |= set(runs)
+    assert len(seen) == 12

@@ -1,5 +1,6 @@
 """`ogm replay`: a recorded log, published as its robots did, and followed until the mapper has handled it."""
 
+import hashlib
 import time
 import uuid
 from collections import Counter, deque
@@ -18,7 +19,7 @@ from ogm_client.session import open_session
 from ogm_core.errors import OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
 from ogm_core.status import SourceStatus, Status
-from ogm_core.wire.keys import Source
+from ogm_core.wire.keys import MAX_NAME, Source
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import NetworkSettings
 
@@ -34,6 +35,10 @@ PATIENCE_WITH_POSES = 600.0
 """How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
 POLL = 0.002
 
+_FRESH = 8
+"""Digits of what makes the runs of one replay its own."""
+_DIGEST = 16
+"""Digits that stand for a run whose name would become too long."""
 _FATAL = ("malformed", "overload", "failed")
 
 
@@ -99,7 +104,7 @@ class _Replay:
         self._map_name = map_name
         self._opening = robots
         self._client = robots.enter_context(MapClient(session=session, map_name=map_name))
-        self._run = uuid.uuid4().hex
+        self._run = uuid.uuid4().hex[:_FRESH]
         self._robots: dict[str, RobotPublisher] = {}
         self._seqs: Counter[Source] = Counter()
         self._sent: dict[Source, _Sent] = {}
@@ -196,9 +201,15 @@ class _Replay:
     def _renamed(self, source: Source, run: str, seq: int) -> tuple[str, int]:
         """Run and seq to send: a recorded run keeps its seqs, messages without a run are renumbered."""
         if run:
-            return f"{self._run}.{run}", seq
+            return renamed_run(self._run, run), seq
         self._seqs[source] += 1
         return self._run, self._seqs[source] - 1
+
+
+def renamed_run(fresh: str, run: str) -> str:
+    """A recorded run's name while it is replayed: no other replay's, and no longer than a name may be."""
+    name = f"{fresh}.{run}"
+    return name if len(name) <= MAX_NAME else f"{fresh}.{hashlib.sha256(run.encode()).hexdigest()[:_DIGEST]}"
 
 
 class _Pace:
