@@ -6,6 +6,8 @@ from typing import Literal, NamedTuple
 
 from ogm_core.errors import BadSetting
 
+MAX_NAME = 64
+"""The longest name, characters."""
 NAME = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 ROOT = "ogm/v1"
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"

@@ -4,14 +4,15 @@
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import msgpack
 import numpy as np
 
 from ogm_core.errors import BadMessage
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Ranges, Scan
+from ogm_core.wire.keys import MAX_NAME, NAME
 
 MEDIA_TYPE = "application/msgpack"
 POSE_SCHEMA = "ogm.Pose.v1"
@@ -23,9 +24,14 @@ MAX_POSE_BYTES = 1024
 """The longest pose message."""
 _SCAN_BYTES_BESIDES = 4096
 """What a scan message takes beside its ranges, at most."""
+MAX_ITEMS = 64
+"""A list or map in a message has at most so many items, and a message twice so many lists and maps."""
+MAX_TEXT = 1024
+"""The longest text in a message, bytes of UTF-8."""
 _INT_END = 2**63
 
 Fields = Mapping[str, Any]
+_Part = TypeVar("_Part")
 
 
 def encode_pose(message: PoseStamped) -> bytes:
@@ -110,7 +116,7 @@ def pose_from_fields(fields: Fields) -> PoseStamped:
         BadMessage: a field is missing, of the wrong type or out of range.
     """
     pose = Pose(_number(fields, "x"), _number(fields, "y"), _number(fields, "theta"))
-    return PoseStamped(_count(fields, "stamp"), pose, _count(fields, "seq"), _text(fields, "run"))
+    return PoseStamped(_count(fields, "stamp"), pose, _count(fields, "seq"), _run(fields))
 
 
 def scan_from_fields(fields: Fields, ranges: Ranges, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
@@ -124,7 +130,7 @@ def scan_from_fields(fields: Fields, ranges: Ranges, *, max_beams: int = DEFAULT
     scan = Scan(
         stamp=_count(fields, "stamp"),
         seq=_count(fields, "seq"),
-        run=_text(fields, "run"),
+        run=_run(fields),
         angle_min=_number(fields, "angle_min"),
         angle_increment=_number(fields, "angle_increment"),
         time_increment=_number(fields, "time_increment", 0.0),
@@ -159,13 +165,37 @@ def check_scan(scan: Scan) -> None:
 
 
 def _unpack(payload: bytes) -> Fields:
+    take = _counted()
     try:
-        fields = msgpack.unpackb(payload)
+        fields = msgpack.unpackb(
+            payload,
+            max_array_len=MAX_ITEMS,
+            max_map_len=MAX_ITEMS,
+            max_str_len=MAX_TEXT,
+            max_ext_len=0,
+            strict_map_key=True,
+            list_hook=take,
+            object_hook=take,
+        )
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
         raise BadMessage(f"payload: not MessagePack ({str(error) or type(error).__name__})") from error
     if not isinstance(fields, dict):
         raise BadMessage(f"payload: a MessagePack map is needed, got {_kind(fields)}")
     return fields
+
+
+def _counted() -> Callable[[_Part], _Part]:
+    """What lets pass so many lists and maps of one message: few bytes may hold millions of them."""
+    left = 2 * MAX_ITEMS
+
+    def take(part: _Part) -> _Part:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise BadMessage(f"payload: it holds more than {2 * MAX_ITEMS} lists and maps")
+        return part
+
+    return take
 
 
 def _kind(value: object) -> str:
@@ -207,12 +237,13 @@ def _count(fields: Fields, name: str) -> int:
     raise BadMessage(f"{name}: 0 to 2^63 - 1 is needed, got {value}")
 
 
-def _text(fields: Fields, name: str) -> str:
-    value = fields.get(name, "")
+def _run(fields: Fields) -> str:
+    value = fields.get("run", "")
     if not isinstance(value, str):
-        raise BadMessage(f"{name}: text is needed, got {_kind(value)}")
-    if not value.isascii() and any("\ud800" <= character <= "\udfff" for character in value):
-        raise BadMessage(f"{name}: it holds half a surrogate pair, which UTF-8 cannot")
+        raise BadMessage(f"run: text is needed, got {_kind(value)}")
+    if value and not NAME.fullmatch(value):
+        shown = value if len(value) <= MAX_NAME else value[:MAX_NAME] + "..."
+        raise BadMessage(f"run: 1 to {MAX_NAME} of A-Z a-z 0-9 _ - . are needed, or none, got {shown!r}")
     return value
 
 

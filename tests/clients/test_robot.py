@@ -175,7 +175,7 @@ def test_every_publisher_has_a_run_of_its_own(listener):
 
 
 def test_recorded_messages_keep_their_run_and_seq(robot, received):
-    pose = PoseStamped(1, Pose(1.0, 2.0, 3.0), 41, "recorded/run 1")
+    pose = PoseStamped(1, Pose(1.0, 2.0, 3.0), 41, "recorded.run-1")
     scan = Scan(2, **SWEEP, ranges=np.array([1.0, np.inf], np.float32), seq=17, run="other")
     robot.put_pose(pose)
     robot.put_scan("front", scan)

@@ -1,6 +1,7 @@
 """Messages on the wire: what is accepted, and that everything else is refused by name."""
 
 import math
+import tracemalloc
 
 import msgpack
 import numpy as np
@@ -48,7 +49,7 @@ def scan_with(**changes):
 
 
 def test_a_pose_comes_back_bit_for_bit():
-    message = PoseStamped(2**63 - 1, Pose(0.1, -0.0, 1e-300), 2**40, "lauf-ä")
+    message = PoseStamped(2**63 - 1, Pose(0.1, -0.0, 1e-300), 2**40, "lauf-1")
     back = decode_pose(encode_pose(message))
     assert back == message
     assert math.copysign(1.0, back.pose.y) == -1.0
@@ -175,6 +176,17 @@ def test_each_bad_part_of_a_pose_is_named(name, bad, place):
         scan_with(**{name: value})
 
 
+@pytest.mark.parametrize("run", ["r" * 65, "r" * 1000, "a b", "a/b", "caf\u00e9", "r\n", "*", "\x00"])
+def test_a_run_is_a_name_or_none_at_all(run):
+    for decode, fields in ((decode_pose, POSE_FIELDS), (decode_scan, SCAN_FIELDS)):
+        with pytest.raises(
+            BadMessage, match=r"^run: 1 to 64 of A-Z a-z 0-9 _ - \. are needed, or none, got '"
+        ):
+            decode(payload(fields, run=run))
+        assert decode(payload(fields, run="")).run == ""
+        assert decode(payload(fields, run="A-z_0.9" + "r" * 57)).run == "A-z_0.9" + "r" * 57
+
+
 def test_half_a_surrogate_pair_is_refused_before_it_cannot_be_sent():
     with pytest.raises(BadMessage, match=r"^run: "):
         messages.pose_from_fields({**POSE_FIELDS, "run": "\ud800"})
@@ -203,10 +215,10 @@ def test_a_message_is_no_longer_than_its_kind_can_be():
     assert decode_scan(longest, max_beams=1000).ranges.size == 1000
     with pytest.raises(BadMessage, match=r"^payload: at most 8096 bytes are needed, got 8097$"):
         decode_scan(payload(SCAN_FIELDS, ranges=bytes(4000), pad=bytes(room + 1)), max_beams=1000)
-    run = "x" * (1024 - len(payload(POSE_FIELDS, run="x" * 500)) + 500)
-    assert decode_pose(payload(POSE_FIELDS, run=run)).run == run
+    pad = bytes(1024 - len(payload(POSE_FIELDS, pad=bytes(500))) + 500)
+    assert decode_pose(payload(POSE_FIELDS, pad=pad)) == decode_pose(payload(POSE_FIELDS))
     with pytest.raises(BadMessage, match=r"^payload: at most 1024 bytes are needed, got 1025$"):
-        decode_pose(payload(POSE_FIELDS, run=run + "x"))
+        decode_pose(payload(POSE_FIELDS, pad=pad + b"x"))
 
 
 def test_bytes_are_little_endian():
@@ -232,6 +244,56 @@ def test_bytes_are_little_endian():
 def test_a_payload_that_is_no_map_is_refused(decode, data, text):
     with pytest.raises(BadMessage, match=f"^payload: .*{text}"):
         decode(data)
+
+
+def nested(width, depth):
+    """Lists in lists, `width` ** `depth` in all."""
+    return b"\x90" if depth == 0 else bytes([0x90 + width]) + nested(width, depth - 1) * width
+
+
+MANY = 20_000_000
+HURTS = {
+    "a list of millions of lists": b"\xdd" + MANY.to_bytes(4, "big") + b"\x90" * MANY,
+    "millions of lists behind one": b"\x90" * MANY,
+    "a long list in a field": b"\x81\xa1a\xdd" + MANY.to_bytes(4, "big") + b"\x90" * MANY,
+    "short lists in lists": b"\x81\xa1a" + nested(8, 7),
+    "short maps in maps": b"\x81\xa1a" * 500 + b"\xc0",
+    "deep lists": b"\x81\xa1a" + b"\x91" * 10**6 + b"\xc0",
+    "many fields": b"\xdf"
+    + (10**6).to_bytes(4, "big")
+    + b"".join(b"\xa3%03d\x01" % (k % 999) for k in range(10**6)),
+    "keys that are numbers": b"\x82\x01\x01\x02\x02",
+    "a key that is a list": b"\x81\x90\x01",
+    "long text in a field": b"\x81\xa1a\xdb" + (10**7).to_bytes(4, "big") + b"x" * 10**7,
+    "an extension": b"\x81\xa1a\xc7\x05\x01abcde",
+    "a time": b"\x81\xa1a\xd6\xff\x00\x00\x00\x01",
+    "a time far away": b"\x81\xa1a\xc7\x0c\xff" + b"\xff" * 12,
+    "text that is no UTF-8": b"\x81\xa1a\xa2\xff\xfe",
+}
+
+
+@pytest.mark.parametrize("name", HURTS)
+@pytest.mark.parametrize("decode", [decode_pose, decode_scan])
+def test_a_payload_that_would_become_much_more_is_refused_before_it_does(decode, name):
+    data = HURTS[name]
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadMessage, match=r"^payload: "):
+            decode(data)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < len(data) + 200_000  # a rest that follows what was read is copied once, by msgpack
+
+
+def test_small_fields_that_nobody_knows_may_hold_lists_and_maps():
+    covariance = [[0.1] * 6] * 6
+    extra = {"covariance": covariance, "flat": [0.0] * 64, "header": {"frame": "map", "tags": ["x"] * 20}}
+    assert encode_scan(scan_with(**extra)) == encode_scan(scan_with())
+    with pytest.raises(BadMessage, match=r"^payload: not MessagePack .*65 exceeds max_array_len\(64\)"):
+        scan_with(flat=[0.0] * 65)
+    with pytest.raises(BadMessage, match=r"^payload: it holds more than 128 lists and maps$"):
+        scan_with(lists=[[[]] * 64] * 2)
 
 
 def refuses_or_reads(decode, data):
