@@ -11,9 +11,9 @@ import pytest
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
-from ogm_services.mapper.service import CannotServe
 from ogm_services.mapper.serving.answers import MAP_FORMATS
 from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.mapper.serving.http_server import CannotServe
 from ogm_services.replies.answer import Unavailable
 
 

@@ -1,6 +1,5 @@
 """The mapper as a running service: started, warmed up, served, and stopped in order."""
 
-import asyncio
 import dataclasses
 import logging
 import socket
@@ -14,7 +13,6 @@ from types import TracebackType
 from typing import Self
 
 import typer
-import uvicorn
 
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import MapEmpty, OgmError
@@ -33,6 +31,7 @@ from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.compilation import compiling_until
@@ -48,9 +47,6 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
-GRACE = 2
-"""How long open HTTP connections may take to finish when the mapper stops, s."""
-
 FIGURES_TIME = 5.0
 """How long a mapper that has stopped computes figures of its map, s."""
 
@@ -61,12 +57,6 @@ class ServiceStopped(OgmError):
     """A thread without which the mapper is of no use has ended by itself."""
 
     slug = "service-stopped"
-
-
-class CannotServe(OgmError):
-    """The HTTP address cannot be used."""
-
-    slug = "cannot-serve"
 
 
 def run_mapper(settings: Settings, out: Path | None) -> None:
@@ -175,7 +165,7 @@ class MapperService:
 
     def _start(self, opening: ExitStack) -> None:
         network = self._settings.network
-        listener = opening.enter_context(_bound_socket(self._settings.http.host, self._settings.http.port))
+        listener = opening.enter_context(bound_socket(self._settings.http.host, self._settings.http.port))
         wanted = network.for_mapper()
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
@@ -207,45 +197,10 @@ class MapperService:
         opening.callback(rest.stop)
         rest.start()
 
-    def _http(self, listener: socket.socket) -> "_HttpThread":
+    def _http(self, listener: socket.socket) -> HttpThread:
         health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
-        self._http_thread = _HttpThread(
-            uvicorn.Config(
-                build_app(self.answers, health, self.reset),
-                log_level="warning",
-                access_log=False,
-                lifespan="off",
-                timeout_graceful_shutdown=GRACE,
-            ),
-            listener,
-        )
+        self._http_thread = HttpThread(build_app(self.answers, health, self.reset), listener)
         return self._http_thread
-
-
-class _HttpThread:
-    """uvicorn beside the main thread, which keeps the signals to itself."""
-
-    def __init__(self, config: uvicorn.Config, listener: socket.socket) -> None:
-        logging.getLogger("uvicorn.error").addFilter(_not_cut_off)
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")
-
-    @property
-    def alive(self) -> bool:
-        """Whether anybody is answered."""
-        return self._thread.is_alive()
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._server.should_exit = True
-        self._thread.join()
-
-
-def _not_cut_off(record: logging.LogRecord) -> bool:
-    """Whether a log record is no traceback of a request that was cut off when the mapper stopped."""
-    return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
 def _warm_up(settings: GridSettings) -> None:
@@ -258,26 +213,3 @@ def _warm_up(settings: GridSettings) -> None:
         warm_up(settings)
     if empty:
         typer.echo(f"ogm: compiled the map's kernels in {time.monotonic() - began:.0f} s", err=True)
-
-
-def _bound_socket(host: str, port: int) -> socket.socket:
-    """A listening TCP socket; port 0 picks a free one.
-
-    Raises:
-        CannotServe: the address is taken, or is not this machine's.
-    """
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise CannotServe(f"--http-host {host}: {error.strerror}") from error
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(128)
-    except OSError as error:
-        listener.close()
-        raise CannotServe(
-            f"--http-host {host} --http-port {port}: cannot serve: {error.strerror}; port 0 picks a free one"
-        ) from error
-    return listener
