@@ -31,9 +31,9 @@ def refuse():
     raise Unavailable("busy")
 
 
-def ask(method, path, *, alive=True, ready=True, reset=refuse):
+def ask(method, path, *, alive=True, ready=True, reset=refuse, reasons=tuple):
     """Ask an application of broken answers, without a server."""
-    app = build_app(BrokenAnswers(), Health(alive=lambda: alive, ready=lambda: ready), reset)
+    app = build_app(BrokenAnswers(), Health(alive=lambda: alive, ready=lambda: ready, reasons=reasons), reset)
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
@@ -61,6 +61,12 @@ def test_probes(alive, ready, livez, readyz):
     assert ask("GET", "/readyz", **health).status_code == readyz
     assert ask("HEAD", "/readyz", **health).status_code == readyz
     assert ask("GET", "/readyz", **health).headers["cache-control"] == "no-store"
+
+
+def test_readyz_says_why_a_mapper_that_has_started_is_not_ready():
+    response = ask("GET", "/readyz", reasons=lambda: ["one", "two"])
+    assert (response.status_code, response.text) == (503, "one; two")
+    assert ask("GET", "/livez", reasons=lambda: ["one"]).status_code == 200
 
 
 @pytest.mark.parametrize("path", ["/map.png", "/status", "/metrics"])

@@ -32,6 +32,7 @@ from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_routes import Health, build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
+from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.compilation import compiling_until
@@ -102,9 +103,9 @@ def _write_results(out: Path, service: "MapperService") -> None:
 class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
-    Threads: the worker (owns the map), the monitor (owns the series and the truth), one for HTTP's event
-    loop with its pool, Zenoh's own, a small pool for Zenoh's queries, and one that makes rarely used kernels
-    ready. All of them end with the `with`.
+    Threads: the worker (owns the map), the monitor (owns the series and the truth), one that looks for other
+    mappers of the map, one for HTTP's event loop with its pool, Zenoh's own, a small pool for its queries,
+    and one that makes rarely used kernels ready. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -170,6 +171,8 @@ class MapperService:
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
         keys = MapKeys(network.map_name)
+        self._others = others = OtherMappers(session, keys)
+        opening.callback(others.close)  # last of all: until then no other mapper starts
         routes = ZenohRoutes(session, keys)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
@@ -177,10 +180,11 @@ class MapperService:
             max_beams=self._settings.mapper.max_beams,
         )
         opening.callback(subscriber.close)
-        routes.claim()
+        others.claim()
         opening.enter_context(self._http(listener))
         routes.declare(self.answers, self.reset)
         _warm_up(self._grid_settings)
+        others.serve()
         self._worker.start()
         opening.callback(self._worker.stop)
         subscriber.declare()
@@ -198,7 +202,11 @@ class MapperService:
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
-        health = Health(alive=lambda: self._worker.alive or not self.was_ready, ready=self._ready.is_set)
+        health = Health(
+            alive=lambda: self._worker.alive or not self.was_ready,
+            ready=self._ready.is_set,
+            reasons=self._others.reasons,
+        )
         self._http_thread = HttpThread(build_app(self.answers, health, self.reset), listener)
         return self._http_thread
 

@@ -46,6 +46,8 @@ class Health:
 
     alive: Callable[[], bool]
     ready: Callable[[], bool]
+    reasons: Callable[[], Sequence[str]] = tuple
+    """Why it is not to be relied on though it has started; none if it is."""
 
 
 class _NoStore:
@@ -131,7 +133,10 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
         return _probe(health.alive(), "the worker has stopped")
 
     async def readyz(_: Request) -> Response:
-        return _probe(health.alive() and health.ready(), "the mapper is still starting")
+        if not (health.alive() and health.ready()):
+            return _probe(False, "the mapper is still starting")
+        reasons = health.reasons()
+        return _probe(not reasons, "; ".join(reasons))
 
     async def metrics(_: Request) -> Response:
         text = prometheus_text(await run_in_threadpool(answers.current_status))

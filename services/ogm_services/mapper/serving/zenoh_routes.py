@@ -1,14 +1,11 @@
-"""The mapper's routes on Zenoh: queryables over `Answers`, and the liveliness token of a running mapper."""
+"""The mapper's routes on Zenoh: queryables over `Answers`."""
 
-import socket
-import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
 
 import zenoh
 
-from ogm_core.errors import OgmError
-from ogm_core.wire.keys import NAME, MapKeys
+from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
@@ -18,14 +15,8 @@ TRUTH_TIMEOUT = 0.5
 """How long simulators may take to tell their world, s."""
 
 
-class AlreadyMapped(OgmError):
-    """Another mapper answers for this map."""
-
-    slug = "already-mapped"
-
-
 class ZenohRoutes:
-    """What a mapper declares on a session to be found and asked, until `close`.
+    """What a mapper declares on a session to be asked, until `close`.
 
     Zenoh's threads call the callbacks, which hand their query to a small pool.
     """
@@ -35,22 +26,6 @@ class ZenohRoutes:
         self._keys = keys
         self._declared = ExitStack()
         self._queryables = Queryables(session, QUERY_THREADS)
-
-    def claim(self) -> None:
-        """Declare this mapper alive, and look for another one.
-
-        Raises:
-            AlreadyMapped: another mapper of this map is alive.
-        """
-        mine = self._keys.alive("mapper", _host_name(), uuid.uuid4().hex)
-        self._declared.push(self._session.liveliness().declare_token(mine))
-        alive = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=2.0)
-        others = {str(reply.ok.key_expr) for reply in alive if reply.ok is not None} - {mine}
-        if others:
-            raise AlreadyMapped(
-                f"another mapper of map {self._keys.map_name!r} is alive ({others.pop()}): "
-                "stop it, or choose another name with --map"
-            )
 
     def declare(self, answers: Answers, reset: Callable[[], None]) -> None:
         """Declare the queryables: from here on every question gets an answer."""
@@ -88,9 +63,3 @@ class ZenohRoutes:
     def close(self) -> None:
         """Undeclare everything; queries in hand are answered first."""
         self._declared.close()
-
-
-def _host_name() -> str:
-    """This machine's name, fit for a key: it stays the same when the mapper restarts."""
-    name = "".join(c if NAME.fullmatch(c) else "-" for c in socket.gethostname())
-    return name[:64] or "host"

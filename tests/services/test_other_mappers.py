@@ -1,0 +1,231 @@
+"""Two mappers of one map: a tie at the start, newcomers, tokens without a mapper, and two that meet later."""
+
+import json
+import logging
+import threading
+from contextlib import ExitStack, closing
+
+import pytest
+import zenoh
+
+from ogm_client.session import NetworkConfig, open_session, resolve_listen
+from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.serving.other_mappers import AlreadyMapped, OtherMappers
+
+KEYS = MapKeys("hall")
+LOW, HIGH = "0" * 32, "f" * 32
+PERIOD = 0.02
+
+
+@pytest.fixture
+def joined(listener, endpoint):
+    """`joined()` opens one more session; all of them see each other through `listener`."""
+    with ExitStack() as opened:
+        yield lambda: opened.enter_context(open_session(NetworkConfig(connect=(endpoint,))))
+
+
+@pytest.fixture
+def mapper(joined):
+    """`mapper(run)`: a mapper's claim on a session of its own."""
+    with ExitStack() as opened:
+        yield lambda run=None: opened.enter_context(
+            closing(OtherMappers(joined(), KEYS, run=run, period=PERIOD))
+        )
+
+
+def serving(others):
+    others.claim()
+    others.serve()
+    return others
+
+
+def state_of(session, run):
+    (reply,) = session.get(KEYS.alive("mapper", "*", run), timeout=10.0)
+    return json.loads(reply.ok.payload.to_bytes())["state"]
+
+
+def at_once(*mappers):
+    """Start them at the same moment; which of them serve, in order."""
+    gate, served = threading.Barrier(len(mappers)), []
+
+    def start(others):
+        gate.wait()
+        try:
+            serving(others)
+        except AlreadyMapped:
+            others.close()  # as a mapper that ends
+        else:
+            served.append(others)
+
+    threads = [threading.Thread(target=start, args=(others,)) for others in mappers]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return served
+
+
+def test_of_two_that_start_at_the_same_moment_exactly_one_stays(joined):
+    """Twenty times, with fresh runs: which of the two is asked first is chance, and that one stays is not."""
+    sessions = joined(), joined()
+    for _ in range(20):
+        mappers = [OtherMappers(session, KEYS, period=PERIOD) for session in sessions]
+        served = at_once(*mappers)
+        assert len(served) == 1
+        assert served[0].rivals == frozenset()
+        served[0].close()
+
+
+def test_of_five_that_start_at_the_same_moment_exactly_one_stays(mapper):
+    assert len(at_once(*(mapper() for _ in range(5)))) == 1
+
+
+def test_peers_that_nobody_stands_between_come_to_one_end_as_well(listener, joined):
+    for _ in range(10):
+        mappers = [OtherMappers(session, KEYS, period=PERIOD) for session in (listener, joined())]
+        (stays,) = at_once(*mappers)
+        stays.close()
+
+
+@pytest.mark.parametrize("first", [LOW, HIGH])
+def test_while_both_start_the_lower_run_stays_whoever_came_first(mapper, first):
+    early, late = mapper(first), mapper(HIGH if first == LOW else LOW)
+    early.claim()
+    if first == LOW:
+        with pytest.raises(AlreadyMapped, match=f"another mapper of map 'hall' is alive .*/{LOW}.*--map"):
+            late.claim()
+        early.serve()
+    else:
+        late.claim()
+        late.serve()
+        with pytest.raises(AlreadyMapped, match=LOW):
+            early.serve()
+
+
+def test_one_that_serves_stays_though_a_newcomer_has_a_lower_run(mapper, joined):
+    serving(mapper(HIGH))
+    with pytest.raises(AlreadyMapped, match=HIGH):
+        mapper(LOW).claim()
+    assert state_of(joined(), HIGH) == "serving"
+
+
+def test_one_that_starts_yields_to_one_that_serves_and_asks(mapper, joined):
+    """As one that was frozen does, which comes back while another is about to take its map."""
+    starting = mapper(LOW)
+    starting.claim()
+    [*joined().get(f"{KEYS.alive('mapper', '*', '*')}?run={HIGH};state=serving", timeout=10.0)]
+    assert state_of(joined(), LOW) == "yielding"
+    with pytest.raises(AlreadyMapped, match=HIGH):
+        starting.serve()
+
+
+def test_nobody_yields_to_what_is_no_run(mapper, joined):
+    starting = mapper(HIGH)
+    starting.claim()
+    for asked in (
+        "",
+        "?run=;state=serving",
+        "?run=a b;state=serving",
+        "?run=0",
+        f"?run={HIGH};state=serving",
+    ):
+        [*joined().get(f"{KEYS.alive('mapper', '*', '*')}{asked}", timeout=10.0)]
+    starting.serve()
+
+
+def test_a_bare_token_stops_nobody_and_is_named(mapper, joined, eventually, caplog):
+    token = KEYS.alive("mapper", "evil", LOW)
+    _held = joined().liveliness().declare_token(token)
+    eventually(lambda: [*joined().liveliness().get(token)])
+    others = serving(mapper())
+    assert [(r.levelname, token in r.getMessage()) for r in caplog.records] == [("WARNING", True)]
+    assert others.reasons() == []
+
+
+@pytest.mark.parametrize(
+    "reply", [b"", b"\xff", b"[" * 100_000, b"[]", b'{"run": 1}', b'{"state": "asleep"}']
+)
+def test_who_answers_something_else_is_no_mapper(mapper, joined, eventually, reply):
+    key = KEYS.alive("mapper", "evil", LOW)
+
+    def answer(query):
+        with query:
+            query.reply(key, reply)
+
+    _held = joined().declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+    eventually(lambda: [*joined().get(key, timeout=10.0)])
+    assert serving(mapper()).reasons() == []
+
+
+def test_a_token_beside_one_that_serves_changes_nothing(mapper, joined, eventually, caplog):
+    others, stranger, asked = serving(mapper()), joined(), []
+    key = KEYS.alive("mapper", "evil", LOW)
+
+    def say_nothing(query):
+        with query:
+            asked.append(query)
+
+    _token = stranger.liveliness().declare_token(key)
+    _held = stranger.declare_queryable(key, zenoh.handlers.Callback(say_nothing, indirect=False))
+    eventually(lambda: len(asked) >= 3)
+    assert (others.reasons(), caplog.records) == ([], [])
+
+
+def test_a_mapper_beside_another_is_not_ready_and_goes_on_all_the_same(start_mapper, eventually):
+    """Whoever may answer as a mapper does can say that a mapper is not alone, and no more."""
+    key = MapKeys("hall").alive("mapper", "other", LOW)
+
+    def serve(query):
+        with query:
+            query.reply(key, json.dumps({"run": LOW, "state": "serving"}))
+
+    with start_mapper(map={"resolution": 0.5}) as mapper:
+        assert mapper.http.get("/readyz").text == "ok"
+        held = mapper.session.declare_queryable(key, zenoh.handlers.Callback(serve, indirect=False))
+        answer = eventually(lambda: (a := mapper.http.get("/readyz")).status_code == 503 and a)
+        assert answer.text == f"another mapper of the map serves, too: {key}"
+        assert mapper.http.get("/livez").status_code == 200
+        assert mapper.draw_cross()["revision"] == 3
+        assert mapper.answer("map", "format=npz").payload.to_bytes() == mapper.http.get("/map.npz").content
+        held.undeclare()
+        eventually(lambda: mapper.http.get("/readyz").status_code == 200)
+
+
+@pytest.fixture
+def router():
+    """`router(listen=endpoint)` or `router(connect=endpoints)`: a Zenoh router of this process."""
+
+    def start(**endpoints):
+        config = zenoh.Config()
+        config.insert_json5("mode", '"router"')
+        config.insert_json5("scouting/multicast/enabled", "false")
+        for key in ("listen", "connect"):
+            config.insert_json5(f"{key}/endpoints", json.dumps(endpoints.get(key, [])))
+        return zenoh.open(config)
+
+    return start
+
+
+def test_two_that_meet_later_both_say_so_once_and_when_it_is_over(router, eventually, caplog):
+    caplog.set_level(logging.WARNING)
+    ends = [resolve_listen("tcp/127.0.0.1:0") for _ in range(2)]
+    with ExitStack() as opened:
+        mappers = []
+        for run, endpoint in zip((LOW, HIGH), ends, strict=True):  # each on a network of its own
+            opened.enter_context(router(listen=[endpoint]))
+            session = opened.enter_context(open_session(NetworkConfig(connect=(endpoint,))))
+            others = opened.enter_context(closing(OtherMappers(session, KEYS, run=run, period=PERIOD)))
+            mappers.append(serving(others))
+        assert [others.reasons() for others in mappers] == [[], []]
+        with router(connect=ends):
+            eventually(lambda: all(others.reasons() for others in mappers))
+            for others, theirs in zip(mappers, (HIGH, LOW), strict=True):
+                (reason,) = others.reasons()
+                assert "another mapper of the map serves, too: " in reason
+                assert theirs in reason
+        eventually(lambda: not any(others.reasons() for others in mappers))
+    for run in (LOW, HIGH):
+        said = [(r.levelname, r.getMessage()) for r in caplog.records if run in r.getMessage()]
+        assert [level for level, _ in said] == ["ERROR", "WARNING"]
+        assert "another mapper of map 'hall' serves, too" in said[0][1]
+        assert "the other mapper of map 'hall' is gone" in said[1][1]
