@@ -144,7 +144,7 @@ class OtherMappers:
     def _asked(self, query: zenoh.Query) -> None:
         """Say what this mapper does; one that starts yields to who serves, and to a lower run."""
         with query:
-            asker, theirs = query.parameters.get("run", ""), query.parameters.get("state", "")
+            asker, theirs = (str(query.parameters.get(name, "")) for name in ("run", "state"))
             with self._deciding:
                 first = theirs == "serving" or (theirs == "starting" and asker < self._run)
                 if self._state == "starting" and first and asker != self._run and NAME.fullmatch(asker):
