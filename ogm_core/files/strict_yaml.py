@@ -80,9 +80,12 @@ def parse_yaml(text: str) -> object:
         raise ValueError(f"not YAML that can be read ({reason[:300]})") from error
 
 
-def dump_yaml(value: object) -> str:
-    """YAML text that `parse_yaml` reads as the same plain value; innermost lists are on one line."""
-    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=None))
+def dump_yaml(value: object, *, width: int | None = None) -> str:
+    """YAML text that `parse_yaml` reads as the same plain value; innermost lists are on one line.
+
+    Lines longer than `width`, 80 characters if None, are broken where that changes nothing.
+    """
+    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=width))
 
 
 def _check_depth(text: str) -> None:

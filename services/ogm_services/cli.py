@@ -6,6 +6,8 @@ Commands import what they need when they run, so that `ogm --help` answers at on
 import json
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +20,7 @@ from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
+from ogm_services.runtime.log_lines import log_nothing, log_to_stderr
 from ogm_services.runtime.signals import running_service
 from ogm_services.runtime.terminal import outlive_terminal
 from ogm_services.settings.flags import (
@@ -25,13 +28,16 @@ from ogm_services.settings.flags import (
     ConfigFile,
     HttpFlags,
     LogFlags,
+    LoggingFlags,
     MapFlags,
     MapperFlags,
     NetworkFlags,
+    PrintConfig,
     SensorFlags,
     settings_from,
     with_flag_groups,
 )
+from ogm_services.settings.settings import LogSettings
 
 app = typer.Typer(
     name="ogm",
@@ -105,7 +111,9 @@ def demo(
     map_flags: MapFlags,
     network: NetworkFlags,
     http: HttpFlags,
+    logging: LoggingFlags,
     config: ConfigFile = None,
+    print_config: PrintConfig = False,
     sensor: SensorFlags = None,
     world: World = "lab",
     start: Start = None,
@@ -121,8 +129,10 @@ def demo(
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     begin = _point("--start", start)
-    settings = settings_from(config, map_flags, network, http, sensors=sensor)
-    with running_service(), kernel_cache():
+    settings = settings_from(
+        config, map_flags, network, http, logging, sensors=sensor, print_config=print_config
+    )
+    with _service(settings.log), kernel_cache():
         with loading():
             from ogm_services.commands.demo import run_demo
         run_demo(settings, world=world, start=begin, duration=duration, out=out)
@@ -135,13 +145,16 @@ def mapper(
     mapper_flags: MapperFlags,
     network: NetworkFlags,
     http: HttpFlags,
+    logging: LoggingFlags,
     config: ConfigFile = None,
+    print_config: PrintConfig = False,
     sensor: SensorFlags = None,
     out: MapperOut = None,
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
-    settings = settings_from(config, map_flags, mapper_flags, network, http, sensors=sensor)
-    with running_service(), kernel_cache():
+    groups = map_flags, mapper_flags, network, http, logging
+    settings = settings_from(config, *groups, sensors=sensor, print_config=print_config)
+    with _service(settings.log), kernel_cache():
         with loading():
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
@@ -151,7 +164,9 @@ def mapper(
 @with_flag_groups
 def simulate(
     network: NetworkFlags,
+    logging: LoggingFlags,
     config: ConfigFile = None,
+    print_config: PrintConfig = False,
     world: World = "lab",
     start: Start = None,
     robots: Annotated[int, typer.Option(metavar="N", help="How many robots drive.")] = 1,
@@ -196,16 +211,23 @@ def simulate(
     lidar = (beams, radians, range_max, noise)
     begin = _point("--start", start)
     options = SimulatorOptions(world, robots, rate, seed, *lidar, scans, begin, robot_prefix, connect_timeout)
-    settings = settings_from(config, network)
+    settings = settings_from(config, network, logging, print_config=print_config)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
-    with running_service(interrupted=0 if out is None else INTERRUPTED):
+    with _service(settings.log, interrupted=0 if out is None else INTERRUPTED):
         with loading():
             from ogm_services.commands.simulator import record, run_simulator
         if out is None:
             run_simulator(settings.network, options)
         else:
             record(options, out)
+
+
+@contextmanager
+def _service(log: LogSettings, interrupted: int = 0) -> Iterator[None]:
+    """What runs inside logs, and ends in order at a signal, with exit code `interrupted`."""
+    with log_to_stderr(log.level, log.format), running_service(interrupted):
+        yield
 
 
 def _point(flag: str, text: str | None) -> tuple[float, float] | None:
@@ -240,7 +262,9 @@ def replay(
     log: Log,
     network: NetworkFlags,
     log_flags: LogFlags,
+    logging: LoggingFlags,
     config: ConfigFile = None,
+    print_config: PrintConfig = False,
     speed: Annotated[
         str,
         typer.Option(metavar="FACTOR|max", help="1: as recorded, 2: twice as fast, max: as the mapper can."),
@@ -248,8 +272,8 @@ def replay(
 ) -> None:
     """Publish a recorded log as its robots did."""
     factor = _speed(speed)
-    settings = settings_from(config, network)
-    with running_service(interrupted=INTERRUPTED):
+    settings = settings_from(config, network, logging, print_config=print_config)
+    with _service(settings.log, interrupted=INTERRUPTED):
         with loading():
             from ogm_services.commands.replay import run_replay
         run_replay(
@@ -273,6 +297,7 @@ def build(
     map_flags: MapFlags,
     log_flags: LogFlags,
     config: ConfigFile = None,
+    print_config: PrintConfig = False,
     sensor: SensorFlags = None,
     hold_out: Annotated[
         int | None,
@@ -292,8 +317,8 @@ def build(
     """Make a map of a recorded log, without network."""
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
-    settings = settings_from(config, map_flags, sensors=sensor)
-    with running_service(interrupted=INTERRUPTED, logging_too=False), kernel_cache():
+    settings = settings_from(config, map_flags, sensors=sensor, print_config=print_config)
+    with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
             from ogm_services.commands.build import run_build
         run_build(

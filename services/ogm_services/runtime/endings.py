@@ -29,10 +29,15 @@ class OneLineErrors(TyperGroup):
             message = error.format_message().rstrip(".") or "a command is needed"
             code = _complain(f"{message} (see {command} --help)", BAD_INPUT)
         except OgmError as error:
-            code = _complain(str(error), BAD_INPUT if isinstance(error, BadInput) else FAILED)
+            code = _complain(str(error), exit_code_of(error))
         except typer.Abort:
             code = INTERRUPTED
         sys.exit(code)
+
+
+def exit_code_of(error: OgmError) -> int:
+    """The exit code of a command that ends with an error."""
+    return BAD_INPUT if isinstance(error, BadInput) else FAILED
 
 
 def _complain(text: str, code: int) -> int:

@@ -1,6 +1,5 @@
 """Signal handling: how signals end what runs, and when they have to wait."""
 
-import logging
 import signal
 import threading
 from collections.abc import Iterator
@@ -12,19 +11,14 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
-def running_service(interrupted: int = 0, *, logging_too: bool = True) -> Iterator[None]:
-    """Log to stderr; Ctrl-C, SIGTERM and SIGHUP alike end what runs inside, with exit code `interrupted`.
+def running_service(interrupted: int = 0) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and SIGHUP alike end what runs inside, with exit code `interrupted`.
 
     SIGHUP comes when the terminal is closed; where it is ignored from the start, as under nohup, it stays so.
 
-    Without `logging_too` nothing is logged: what runs inside says at its end what there was to say. A second
-    signal is ignored, to the process's end: what runs inside then stops already, in bounded time, and may be
-    writing.
+    A second signal is ignored, to the process's end: what runs inside then stops already, in bounded time,
+    and may be writing.
     """
-    if logging_too:
-        logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    else:
-        logging.getLogger("ogm_services").addHandler(logging.NullHandler())
     ending = False
 
     def interrupt(*_: object) -> None:

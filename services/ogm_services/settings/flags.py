@@ -17,12 +17,13 @@ import typer
 from ogm_core.cells.log_odds import CellType
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
 from ogm_core.wire.keys import DEFAULT_ADDRESS
+from ogm_services.settings.described import described
 from ogm_services.settings.sensors import FORM
 from ogm_services.settings.settings import SECTIONS, Settings
-from ogm_services.settings.sources import flag_name, load_settings
-from ogm_services.settings.values import Preset
+from ogm_services.settings.sources import flag_name, settings_and_origins
+from ogm_services.settings.values import LogFormat, LogLevel, Preset
 
-PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper"}
+PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper", "log": "Logging"}
 
 
 def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
@@ -192,6 +193,21 @@ class MapperFlags(_SettingFlags):
 
 
 @dataclass(frozen=True)
+class LoggingFlags(_SettingFlags):
+    """Flags of what a service logs."""
+
+    section = "log"
+
+    level: Annotated[
+        str | None, _setting("log", "level", _choices(LogLevel), "What is logged, from this level on")
+    ] = None
+    format: Annotated[
+        str | None,
+        _setting("log", "format", _choices(LogFormat), "Lines of text, or a JSON object on each"),
+    ] = None
+
+
+@dataclass(frozen=True)
 class LogFlags:
     """Log flags of build and replay; the reader of the log judges the values."""
 
@@ -222,6 +238,12 @@ ConfigFile = Annotated[
 ]
 
 
+PrintConfig = Annotated[
+    bool,
+    typer.Option(
+        "--print-config", help="Print every setting as YAML, with where it comes from, and do nothing else."
+    ),
+]
 SensorFlags = Annotated[
     list[str] | None,
     typer.Option(
@@ -233,11 +255,28 @@ SensorFlags = Annotated[
 ]
 
 
-def settings_from(config: Path | None, *groups: _SettingFlags, sensors: list[str] | None = None) -> Settings:
-    """Settings of a command, from its flags, this process's environment and its settings file."""
-    flags = {group.section: group.given() for group in groups}
-    tell = partial(typer.echo, err=True)
-    return load_settings(config=config, flags=flags, environ=os.environ, sensors=sensors or (), tell=tell)
+def settings_from(
+    config: Path | None,
+    *groups: _SettingFlags,
+    sensors: list[str] | None = None,
+    print_config: bool = False,
+) -> Settings:
+    """Settings of a command, from its flags, this process's environment and its settings file.
+
+    Raises:
+        Exit: they were to be printed, and are.
+    """
+    settings, origins = settings_and_origins(
+        config=config,
+        flags={group.section: group.given() for group in groups},
+        environ=os.environ,
+        sensors=sensors or (),
+        tell=partial(typer.echo, err=True),
+    )
+    if print_config:
+        typer.echo(described(settings, origins), nl=False)
+        raise typer.Exit
+    return settings
 
 
 def with_flag_groups(command: Callable[..., None]) -> Callable[..., None]:

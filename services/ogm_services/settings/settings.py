@@ -33,11 +33,14 @@ from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
 from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
+    LOWER_CASE,
     NONE,
     Bounds,
     Count,
     Endpoints,
     Finite,
+    LogFormat,
+    LogLevel,
     NotNegative,
     Positive,
     PositiveOrInfinite,
@@ -155,6 +158,13 @@ class MapperSettings(_Section):
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
 
 
+class LogSettings(_Section):
+    """What a service logs, and in which form."""
+
+    level: Annotated[LogLevel, LOWER_CASE] = "info"
+    format: Annotated[LogFormat, LOWER_CASE] = "text"
+
+
 class Settings(BaseModel):
     """All settings of a service, checked against each other.
 
@@ -168,6 +178,7 @@ class Settings(BaseModel):
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     http: HttpSettings = Field(default_factory=HttpSettings)
     mapper: MapperSettings = Field(default_factory=MapperSettings)
+    log: LogSettings = Field(default_factory=LogSettings)
     sensors: tuple[SensorSettings, ...] = ()
 
     @model_validator(mode="after")
@@ -220,5 +231,6 @@ SECTIONS: Mapping[str, type[BaseModel]] = {
     "network": NetworkSettings,
     "http": HttpSettings,
     "mapper": MapperSettings,
+    "log": LogSettings,
 }
 """The sections of `Settings`, by name."""

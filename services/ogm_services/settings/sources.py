@@ -4,7 +4,8 @@ A preset replaces the defaults, whichever source names it; every other setting t
 it.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +35,17 @@ _Source = dict[tuple[str, str], _Given]
 """What a source gives, by section and key."""
 
 
+@dataclass(frozen=True)
+class Origins:
+    """Where settings come from, as the user knows it: by section and key; of sensors in their order.
+
+    What is not there is a default.
+    """
+
+    settings: Mapping[tuple[str, str], str]
+    sensors: Sequence[str]
+
+
 def load_settings(
     *,
     config: Path | None,
@@ -42,6 +54,18 @@ def load_settings(
     sensors: Iterable[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Settings:
+    """Settings from all sources, as `settings_and_origins` finds them."""
+    return settings_and_origins(config=config, flags=flags, environ=environ, sensors=sensors, tell=tell)[0]
+
+
+def settings_and_origins(
+    *,
+    config: Path | None,
+    flags: Mapping[str, Mapping[str, Any]],
+    environ: Mapping[str, str],
+    sensors: Iterable[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[Settings, Origins]:
     """Settings from all sources: `config` is a YAML file, `flags` the values given as flags, by section.
 
     `sensors` are the texts of `--sensor`. Of sensors, those of a later source are looked at first.
@@ -59,14 +83,17 @@ def load_settings(
     named = given.get(("map", "preset"))
     if named is not None:
         preset = PRESETS.get(str(named.value), {})
-        given = {("map", key): _Given(value, named.source) for key, value in preset.items()} | given
+        origin = f"preset {named.value}, {named.source}"
+        given = {("map", key): _Given(value, origin) for key, value in preset.items()} | given
     values: dict[str, Any] = {}
     for (section, key), item in given.items():
         values.setdefault(section, {})[key] = item.value
-    if entries := [*_sensors_as_text(sensors, environ), *_sensors_of_file(content, config)]:
-        values[SENSORS] = entries
+    entries = [*_sensors_as_text(sensors, environ), *_sensors_of_file(content, config)]
+    if entries:
+        values[SENSORS] = [entry for entry, _ in entries]
+    origins = Origins({name: item.source for name, item in given.items()}, [source for _, source in entries])
     try:
-        return Settings.model_validate(values)
+        return Settings.model_validate(values), origins
     except ValidationError as error:
         raise BadSetting("; ".join(_in_words(problem, given) for problem in error.errors())) from None
 
@@ -87,7 +114,7 @@ def flag_name(section: str, key: str) -> str:
     """The flag of the command line that gives a setting."""
     if (section, key) == ("network", "map_name"):
         return "--map"
-    prefix = "http-" if section == "http" else ""
+    prefix = f"{section}-" if section in ("http", "log") else ""
     return f"--{prefix}{key.replace('_', '-')}"
 
 
@@ -119,19 +146,19 @@ def _from_file(content: Mapping[Any, Any], path: Path | None) -> _Source:
     return given
 
 
-def _sensors_of_file(content: Mapping[Any, Any], path: Path | None) -> list[SensorSettings]:
+def _sensors_of_file(content: Mapping[Any, Any], path: Path | None) -> list[tuple[SensorSettings, str]]:
     entries = content.get(SENSORS) or []
     if not isinstance(entries, list):
         raise BadSetting(f"{path}: {SENSORS}: a list of mappings is needed, got {entries!r:.40}")
-    return [read_entry(entry, f"file {path}") for entry in entries]
+    return [(read_entry(entry, f"file {path}"), f"file {path}") for entry in entries]
 
 
-def _sensors_as_text(flags: Iterable[str], environ: Mapping[str, str]) -> list[SensorSettings]:
+def _sensors_as_text(flags: Iterable[str], environ: Mapping[str, str]) -> list[tuple[SensorSettings, str]]:
     texts = [(text, "--sensor") for text in flags]
     variable = f"OGM_{SENSORS.upper()}"
     in_variable = filter(str.strip, environ.get(variable, "").split(";"))
     texts += [(text, f"environment {variable}") for text in in_variable]
-    return [read_entry(parse_entry(text, source), source) for text, source in texts]
+    return [(read_entry(parse_entry(text, source), source), source) for text, source in texts]
 
 
 def _mapping(content: object, where: str) -> Mapping[Any, Any]:

@@ -13,6 +13,8 @@ from ogm_core.types import Pose
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 Preset = Literal["lab"]
+LogLevel = Literal["debug", "info", "warning", "error"]
+LogFormat = Literal["text", "json"]
 
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "lab": {
@@ -117,6 +119,12 @@ def _endpoint(value: str) -> str:
     return value
 
 
+def _lower_case(value: object) -> object:
+    return value.lower() if isinstance(value, str) else value
+
+
+LOWER_CASE = BeforeValidator(_lower_case)
+"""Beside a type of names: INFO is info."""
 NONE = BeforeValidator(_none_from_text)
 """Beside a type that allows None: the text "none" means it, too."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]

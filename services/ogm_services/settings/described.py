@@ -1,0 +1,83 @@
+"""Settings as people read them: every one with its origin, and those that differ from the defaults."""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, SecretStr
+
+from ogm_core.files.strict_yaml import dump_yaml
+from ogm_services.settings.settings import SECTIONS, Settings
+
+if TYPE_CHECKING:
+    from ogm_services.settings.sources import Origins
+
+MASKED = "***"
+"""Stands for what nobody is to read in a log."""
+_NO_BREAK = 2**30
+"""Width of a line that is never reached."""
+_SECRET_OF_ENDPOINT = re.compile(r"((?:private_key|password)\w*=)[^;#,]*")
+
+
+def described(settings: Settings, origins: "Origins") -> str:
+    """Every setting as YAML, each with its origin as a comment; secrets are masked.
+
+    `load_settings` makes equal settings of it, masked ones apart.
+    """
+    lines = []
+    for section, kind in SECTIONS.items():
+        lines.append(f"{section}:")
+        for key in kind.model_fields:
+            value = _plain(getattr(getattr(settings, section), key))
+            lines.append(f"  {_line(key, value)}  # {_comment(origins.settings.get((section, key)))}")
+    lines.append("sensors:" if settings.sensors else "sensors: []  # default")
+    for sensor, origin in zip(settings.sensors, origins.sensors, strict=True):
+        entry = sensor.model_dump(mode="json", exclude_none=True)
+        first, *rest = [_line(key, value) for key, value in entry.items()]
+        lines += [f"- {first}  # {_comment(origin)}", *(f"  {line}" for line in rest)]
+    return "\n".join(lines) + "\n"
+
+
+def differences(settings: Settings) -> list[str]:
+    """The settings that differ from the defaults, as `section.key=value`; secrets are masked."""
+    found = []
+    for section, kind in SECTIONS.items():
+        ours, usual = getattr(settings, section), kind()
+        found += [
+            f"{section}.{key}={_short(_plain(getattr(ours, key)))}"
+            for key in kind.model_fields
+            if getattr(ours, key) != getattr(usual, key)
+        ]
+    if settings.sensors:
+        found.append("sensors=" + "; ".join(sensor.match for sensor in settings.sensors))
+    return found
+
+
+def _plain(value: object) -> Any:  # noqa: ANN401 (whatever YAML has)
+    """A setting's value as YAML and JSON know it."""
+    if isinstance(value, SecretStr):
+        return MASKED
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, tuple):
+        return [_plain(part) for part in value]
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    return _SECRET_OF_ENDPOINT.sub(rf"\1{MASKED}", str(value))
+
+
+def _line(key: str, value: object) -> str:
+    """A key and its value on one line of YAML."""
+    line = dump_yaml({key: value}, width=_NO_BREAK).rstrip("\n")
+    return line[1:-1] if line.startswith("{") else line
+
+
+def _short(value: object) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ",".join(map(str, value))
+    return str(value)
+
+
+def _comment(origin: str | None) -> str:
+    """An origin on the rest of a line: names of files may hold anything."""
+    return "".join(c if c.isprintable() else "?" for c in origin or "default")
