@@ -3,7 +3,7 @@
 import threading
 from collections import Counter
 from dataclasses import dataclass, field, fields
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
 from ogm_core.types import Pose
@@ -55,6 +55,13 @@ class _Robot:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
         age = None if now is None or self.heard is None else max(0.0, now - self.heard)
         return RobotStatus(self.pose, self.stamp, bool(self.runs_alive), age, sources)
+
+
+class Presence(NamedTuple):
+    """Whether a robot's liveliness token is there, and when it was heard last, s; None: never."""
+
+    alive: bool
+    heard: float | None
 
 
 class Receipts:
@@ -149,6 +156,13 @@ class Receipts:
                 other=OtherCounts(self._ignored),
                 robots={name: robot.status(now) for name, robot in self._robots.items()},
             )
+
+    def presence(self) -> dict[str, Presence]:
+        """Which robots are known, and whether they are there."""
+        with self._lock:
+            return {
+                name: Presence(bool(robot.runs_alive), robot.heard) for name, robot in self._robots.items()
+            }
 
     def _robot(self, robot: str) -> _Robot:
         entry = self._robots.get(robot)

@@ -41,6 +41,12 @@ class Ended:
     err: str
     seconds: float
 
+    @property
+    def warnings(self):
+        """What stands on stderr besides the log's lines of what goes well."""
+        lines = self.err.splitlines(keepends=True)
+        return "".join(line for line in lines if not re.match(r"[-\d]+ [:,\d]+ INFO ogm_", line))
+
     def complaint(self, code):
         """The one line on stderr of a command that ended with `code`; nothing else was printed."""
         assert (self.code, self.out) == (code, ""), self

@@ -96,13 +96,13 @@ def test_the_demo_ends_when_told(ogm, eventually, number, group):
     mapper = ogm.ready(demo)
     eventually(lambda: mapper.status()["revision"] > 3)
     ended = demo.stop(number, group=group)
-    assert (ended.code, ended.err) == (0, "")
+    assert (ended.code, ended.warnings) == (0, "")
     assert {path.name for path in (ogm.folder / "out").iterdir()} == FILES
 
 
 def test_the_demo_ends_by_itself_and_its_books_balance(lap):
     ended, out, seen = lap
-    assert (ended.code, ended.err) == (0, "")
+    assert (ended.code, ended.warnings) == (0, "")
     assert {path.name for path in out.iterdir()} == FILES
     assert len(seen) > 20
     assert sum(seen[-1]["scans"]["dropped"].values()) == 0
@@ -184,7 +184,7 @@ def test_a_taken_port_is_named(ogm, flag):
         ports[flag] = ports[flag].removesuffix("0") + str(port)
         ended = ogm.run("demo", *(text for item in ports.items() for text in item))
     assert (ended.code, ended.out) == (1, "")
-    first, second = ended.err.splitlines()
+    first, second = ended.warnings.splitlines()
     assert flag in first
     assert str(port) in first
     assert second == "ogm: the mapper ended with exit code 1"

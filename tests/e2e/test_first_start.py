@@ -51,12 +51,12 @@ def test_it_says_that_it_compiles_and_answers_until_it_is_ready(ogm, eventually,
     assert int(headers["retry-after"]) > 0
     eventually(lambda: answer(f"{url}/readyz")[0] == 200, TIMEOUT)
     assert answer(f"{url}/map.json")[0] == 200
-    said, done = first.stop().err.splitlines()
-    assert said.startswith("ogm: compiling the map's kernels, once for this version: about ")
-    assert done.startswith("ogm: compiled the map's kernels in ")
+    _, said, done, _ = first.stop().err.splitlines()
+    assert ": compiling the map's kernels, once for this version: about " in said
+    assert ": compiled the map's kernels in " in done
     second = ogm.mapper(NUMBA_CACHE_DIR=str(tmp_path / "kernels"))
     ogm.ready(second)
-    assert second.stop().err == ""
+    assert "compil" not in second.stop().err
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -141,7 +141,7 @@ def test_more_signals_change_nothing(ogm, mapper, eventually, number):
         while service.process.poll() is None:
             service.process.send_signal(number)
             time.sleep(0.02)
-        assert (service.wait().code, service.wait().err) == (0, "")
+        assert (service.wait().code, service.wait().warnings) == (0, "")
 
 
 def test_two_mappers_of_one_map_or_port_are_one_too_many(ogm, idle_mapper):
@@ -244,6 +244,6 @@ def test_a_stopped_mapper_writes_its_map_if_there_is_one(ogm, lab_recording, ass
     assert mappers[0].command.stop().code == 0
     assert_equal_maps(ogm.map("full/map.npz"), served)
     ended = mappers[1].command.stop()
-    assert (ended.code, ended.err.count("\n")) == (0, 1)
+    assert (ended.code, ended.warnings.count("\n")) == (0, 1)
     assert "no known cell" in ended.err
     assert list((ogm.folder / "empty").iterdir()) == []

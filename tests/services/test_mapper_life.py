@@ -3,6 +3,7 @@
 import asyncio
 import json
 import socket
+import threading
 import time
 
 import httpx
@@ -11,8 +12,11 @@ import pytest
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
+from ogm_services.mapper.intake.queue import ScanQueue
+from ogm_services.mapper.live import load
 from ogm_services.mapper.serving.answers import MAP_FORMATS
-from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe
 from ogm_services.replies.answer import Unavailable
 
@@ -27,13 +31,14 @@ class BrokenAnswers:
         return answer
 
 
-def refuse():
+def refuse(_):
     raise Unavailable("busy")
 
 
-def ask(method, path, *, alive=True, ready=True, reset=refuse, reasons=tuple):
+def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
-    app = build_app(BrokenAnswers(), Health(alive=lambda: alive, ready=lambda: ready, reasons=reasons), reset)
+    health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
+    app = build_app(BrokenAnswers(), health, reset)
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
@@ -63,10 +68,12 @@ def test_probes(alive, ready, livez, readyz):
     assert ask("GET", "/readyz", **health).headers["cache-control"] == "no-store"
 
 
-def test_readyz_says_why_a_mapper_that_has_started_is_not_ready():
-    response = ask("GET", "/readyz", reasons=lambda: ["one", "two"])
-    assert (response.status_code, response.text) == (503, "one; two")
-    assert ask("GET", "/livez", reasons=lambda: ["one"]).status_code == 200
+def test_a_probe_says_every_reason_why_not():
+    assert Health(lambda: True).not_ready() is None
+    health = Health(lambda: False, [lambda: "one", lambda: None, lambda: "two"])
+    assert health.not_ready() == "the worker has stopped; one; two"
+    assert ask("GET", "/readyz", ready=False).text == "it is not ready"
+    assert ask("GET", "/readyz").text == "ok"
 
 
 @pytest.mark.parametrize("path", ["/map.png", "/status", "/metrics"])
@@ -79,7 +86,7 @@ def test_a_bug_is_logged_and_told_without_its_innards(caplog, path):
 
 
 def test_a_reset_that_cannot_be_done_is_told():
-    def refuse_parameter():
+    def refuse_parameter(_):
         raise BadParameter("no")
 
     assert problem(ask("POST", "/reset")) == (503, "unavailable")
@@ -148,6 +155,34 @@ def test_a_taken_http_port_is_said_with_its_flag(cross, start_mapper):
     taken = cross.http.base_url.port
     with pytest.raises(CannotServe, match=f"--http-port {taken}"), start_mapper(http={"port": taken}):
         pass
+
+
+def test_while_it_stops_it_is_not_ready_and_says_so(start_mapper, in_background, eventually):
+    go_on = threading.Event()
+    with start_mapper() as mapper:
+        assert mapper.http.get("/readyz").text == "ok"
+        in_background(mapper.service._worker.do, lambda: go_on.wait(30.0))
+        eventually(lambda: not mapper.service._queue._items)
+        ended = in_background(mapper.service.__exit__, None, None, None)
+        try:
+            answer = eventually(lambda: (a := mapper.http.get("/readyz")).status_code == 503 and a)
+            assert answer.text == "the mapper is stopping"
+            assert mapper.http.get("/livez").status_code == 200
+        finally:
+            go_on.set()
+        ended.result(30.0)
+
+
+def test_a_mapper_that_falls_behind_is_not_ready(start_mapper, monkeypatch, eventually):
+    work = [0.0]
+    monkeypatch.setattr(ScanQueue, "work", property(lambda _: work[0]), raising=False)
+    with start_mapper() as mapper:
+        work[0] = 4.9
+        monkeypatch.setattr(load, "HOLD", 0.0)
+        eventually(lambda: mapper.http.get("/readyz").status_code == 503)
+        assert mapper.http.get("/readyz").text == "the mapper falls behind: 4.9 s of work wait"
+        work[0] = 0.1
+        eventually(lambda: mapper.http.get("/readyz").status_code == 200)
 
 
 def test_a_worker_that_has_ended_is_not_alive(mapper):

@@ -1,6 +1,7 @@
 """The mapper as a running service: started, warmed up, served, and stopped in order."""
 
 import dataclasses
+import importlib.metadata
 import logging
 import socket
 import sys
@@ -26,11 +27,15 @@ from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.load import FallingBehind
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.live.presence import RobotPresence
 from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
+from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.http_routes import Health, build_app
+from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
@@ -39,6 +44,7 @@ from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.runtime.signals import held_signals
+from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
 
 LIVE_MAP = "live map"
@@ -48,10 +54,13 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
+MAX_WORK = 5.0
 FIGURES_TIME = 5.0
 """How long a mapper that has stopped computes figures of its map, s."""
 
 log = logging.getLogger(__name__)
+reset_log = logging.getLogger(f"{__name__}.reset")
+"""Of its own, so that a flood of resets keeps no other line out."""
 
 
 class ServiceStopped(OgmError):
@@ -72,6 +81,8 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     if out is not None:
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
+    version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
+    log.info("zenoh-ogm %s starts, with %s", version, changed or "its default settings")
     service = MapperService(settings)
     try:
         with service:
@@ -79,6 +90,8 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
                 typer.echo(line)
             service.wait()
     finally:
+        if service.was_ready:
+            log.info("the mapper has stopped: %s", service.totals())
         if out is not None and service.was_ready:
             _write_results(out, service)
 
@@ -103,9 +116,9 @@ def _write_results(out: Path, service: "MapperService") -> None:
 class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
-    Threads: the worker (owns the map), the monitor (owns the series and the truth), one that looks for other
-    mappers of the map, one for HTTP's event loop with its pool, Zenoh's own, a small pool for its queries,
-    and one that makes rarely used kernels ready. All of them end with the `with`.
+    Threads: the worker (owns the map), the monitor (owns the series and the truth), the watch, one that looks
+    for other mappers of the map, one for HTTP's event loop with its pool, Zenoh's own, a small pool for its
+    queries, and one that makes rarely used kernels ready. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -123,6 +136,19 @@ class MapperService:
             queue, placer, receipts, max_beams=limits.max_beams, sensors=SensorRules(settings.sensor_rules())
         )
         self._monitor = Monitor(self.live_map)
+        falling_behind = FallingBehind(lambda: float(getattr(queue, "work", 0.0)), MAX_WORK)
+        self._watch = Watch([RobotPresence(receipts.presence).look, falling_behind.look])
+        self._stopping = threading.Event()
+        self._health = Health(
+            alive=lambda: self._worker.alive or not self.was_ready,
+            reasons=[
+                lambda: None if self.was_ready else "the mapper is still starting",
+                lambda: "the mapper is stopping" if self._stopping.is_set() else None,
+                falling_behind.reason,
+                lambda: "; ".join(self._others.reasons()) or None,
+            ],
+        )
+        self._started = time.monotonic()
         self._ready = threading.Event()
         self.answers = Answers(
             settings.network.map_name, self.live_map, receipts, self._monitor, self._ready.is_set
@@ -139,6 +165,7 @@ class MapperService:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
         self.live_map.stop()  # else whoever has asked for figures would keep HTTP and Zenoh from ending
         self._open.close()
 
@@ -159,10 +186,25 @@ class MapperService:
                 if not alive:
                     raise ServiceStopped(f"{name} has stopped by itself, so the mapper ends: start it again")
 
-    def reset(self) -> None:
-        """Empty the map, after every message that has arrived."""
+    def reset(self, who: str) -> None:
+        """Empty the map, after every message that has arrived; the log says who has asked for it."""
         self.answers.check_ready()
-        self._worker.do(lambda: self.live_map.reset(uuid.uuid4().hex))
+        epoch = uuid.uuid4().hex
+
+        def empty() -> None:
+            self.live_map.reset(epoch)
+            reset_log.info("%s has reset the map: epoch %s", who, epoch)
+
+        self._worker.do(empty)
+
+    def totals(self) -> str:
+        """What became of the scans, and how long that took, in words."""
+        scans, seconds = self._receipts.status().scans, time.monotonic() - self._started
+        dropped = ", ".join(f"{count} {reason}" for reason, count in scans.dropped.items() if count)
+        return (
+            f"{scans.received} scans received, {scans.integrated} integrated, {scans.pending} pending, "
+            f"dropped: {dropped or 'none'}; it was up for {seconds:.0f} s"
+        )
 
     def _start(self, opening: ExitStack) -> None:
         network = self._settings.network
@@ -197,17 +239,15 @@ class MapperService:
             f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
         ]
         self._ready.set()
+        opening.callback(self._watch.stop)
+        self._watch.start()
         rest = RestOfWarmUp(self._grid_settings)
         opening.callback(rest.stop)
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
-        health = Health(
-            alive=lambda: self._worker.alive or not self.was_ready,
-            ready=self._ready.is_set,
-            reasons=self._others.reasons,
-        )
-        self._http_thread = HttpThread(build_app(self.answers, health, self.reset), listener)
+        app = build_app(self.answers, self._health, self.reset)
+        self._http_thread = HttpThread(app, listener)
         return self._http_thread
 
 
@@ -216,8 +256,8 @@ def _warm_up(settings: GridSettings) -> None:
     empty, began = begins_empty(), time.monotonic()
     if empty:
         often, seconds = ", once for this version" if lasts() else "", COMPILATION[settings.sensor_model]
-        typer.echo(f"ogm: compiling the map's kernels{often}: about {seconds} s", err=True)
+        log.info("compiling the map's kernels%s: about %d s", often, seconds)
     with held_signals() as held, compiling_until(lambda: bool(held)):
         warm_up(settings)
     if empty:
-        typer.echo(f"ogm: compiled the map's kernels in {time.monotonic() - began:.0f} s", err=True)
+        log.info("compiled the map's kernels in %.0f s", time.monotonic() - began)

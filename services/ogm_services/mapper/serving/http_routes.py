@@ -3,7 +3,6 @@
 import importlib.metadata
 import logging
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from urllib.parse import unquote_plus
 
@@ -25,6 +24,7 @@ from ogm_services.mapper.serving.api_description import (
     probe_responses,
     responses,
 )
+from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.metrics import prometheus_text
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.same_origin import SameOrigin
@@ -38,16 +38,6 @@ RETRY_AFTER = "2"
 
 log = logging.getLogger(__name__)
 Handler = Callable[[Request], Awaitable[Response]]
-
-
-@dataclass(frozen=True)
-class Health:
-    """What probes ask of the service."""
-
-    alive: Callable[[], bool]
-    ready: Callable[[], bool]
-    reasons: Callable[[], Sequence[str]] = tuple
-    """Why it is not to be relied on though it has started; none if it is."""
 
 
 class _NoStore:
@@ -84,7 +74,7 @@ class _WithoutUnheard:
         await self._app(scope, receive, send)
 
 
-def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> FastAPI:
+def build_app(answers: Answers, health: Health, reset: Callable[[str], None]) -> FastAPI:
     """Make the application; nothing is computed before a request comes."""
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
@@ -114,7 +104,8 @@ def build_app(answers: Answers, health: Health, reset: Callable[[], None]) -> Fa
     @app.post("/reset", summary="Empty the map: a new epoch, revision 0", responses=described)
     async def post_reset(request: Request) -> Response:
         _parameters_of(request, allowed=False)
-        await run_in_threadpool(reset)
+        who = request.client.host if request.client else "somebody"
+        await run_in_threadpool(reset, f"{who} over HTTP")
         return _plain(await run_in_threadpool(answers.status, {}))
 
     app.add_exception_handler(OgmError, _ogm_error)
@@ -130,13 +121,10 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
         return HTMLResponse(page)
 
     async def livez(_: Request) -> Response:
-        return _probe(health.alive(), "the worker has stopped")
+        return _probe(health.not_alive())
 
     async def readyz(_: Request) -> Response:
-        if not (health.alive() and health.ready()):
-            return _probe(False, "the mapper is still starting")
-        reasons = health.reasons()
-        return _probe(not reasons, "; ".join(reasons))
+        return _probe(health.not_ready())
 
     async def metrics(_: Request) -> Response:
         text = prometheus_text(await run_in_threadpool(answers.current_status))
@@ -147,7 +135,7 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
 
     _get(app, "/", show_page, responses("text/html"), "The live page")
     _get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
-    _get(app, "/readyz", readyz, probe_responses(), "Whether it takes scans: 200 or 503")
+    _get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
     _get(app, "/metrics", metrics, responses("text/plain"), "The status as Prometheus text")
     _get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
 
@@ -200,9 +188,8 @@ def _plain(answer: Answer) -> Response:
     return Response(answer.body, media_type=answer.media_type)
 
 
-def _probe(healthy: bool, otherwise: str) -> Response:
-    text, status = ("ok", 200) if healthy else (otherwise, 503)
-    return PlainTextResponse(text, status_code=status)
+def _probe(trouble: str | None) -> Response:
+    return PlainTextResponse(trouble or "ok", status_code=503 if trouble else 200)
 
 
 async def _ogm_error(_: Request, error: Exception) -> Response:

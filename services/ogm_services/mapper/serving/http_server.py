@@ -26,7 +26,7 @@ class HttpThread:
     def __init__(self, app: ASGIApp, listener: socket.socket) -> None:
         logging.getLogger("uvicorn.error").addFilter(_not_cut_off)
         config = uvicorn.Config(
-            app, log_level="warning", access_log=False, lifespan="off", timeout_graceful_shutdown=GRACE
+            app, log_config=None, access_log=False, lifespan="off", timeout_graceful_shutdown=GRACE
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")

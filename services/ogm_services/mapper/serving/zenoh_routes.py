@@ -27,7 +27,7 @@ class ZenohRoutes:
         self._declared = ExitStack()
         self._queryables = Queryables(session, QUERY_THREADS)
 
-    def declare(self, answers: Answers, reset: Callable[[], None]) -> None:
+    def declare(self, answers: Answers, reset: Callable[[str], None]) -> None:
         """Declare the queryables: from here on every question gets an answer."""
 
         def map_answer(given: Parameters) -> Answer:
@@ -35,7 +35,7 @@ class ZenohRoutes:
 
         def reset_answer(given: Parameters) -> Answer:
             refuse_parameters(given, "reset")
-            reset()
+            reset("somebody over Zenoh")
             return answers.status({})
 
         self._declared.callback(self._queryables.close)
