@@ -74,8 +74,11 @@ class ScanPlacer:
         complain: Complain,
         rules: PlacingRules = DEFAULT_RULES,
         hints: Hints | None = None,
+        integrated: Callable[[float], None] = lambda _: None,
     ) -> None:
+        """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer."""
         self._sink = sink
+        self._integrated = integrated
         self._receipts = receipts
         self._complain = complain
         self._rules = rules
@@ -124,7 +127,7 @@ class ScanPlacer:
         if scan.pose is not None:
             source.number(scan)
             self._receipts.located(name, scan.stamp, scan.pose)
-            self._place(name, robot, sensor, scan)
+            self._place(name, robot, sensor, scan, now)
             return
         owner = self._replaced_by(robot, source, scan.run)
         if owner is not None:
@@ -224,7 +227,7 @@ class ScanPlacer:
         if newest is None or covered is None:
             robot.waiting.append(item)
         elif max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
-            self._place(name, robot, item.sensor, scan)
+            self._place(name, robot, item.sensor, scan, item.handed)
         elif scan.stamp - newest > self._rules.pose_wait * 1e9:
             ahead = reasons.ahead(scan.stamp - newest, self._rules.pose_wait)
             self._drop(name, item.sensor, "no_pose", ahead)
@@ -261,7 +264,7 @@ class ScanPlacer:
                 kept.append(item)
         robot.waiting = kept
 
-    def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan) -> None:
+    def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan, handed: float) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
         try:
             base, sweep = self._pose_of(robot, scan)
@@ -274,6 +277,7 @@ class ScanPlacer:
             raise
         else:
             self._receipts.scan_integrated(name, sensor)
+            self._integrated(handed)
             for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
                 self._hint(name, sensor, hint)
 

@@ -18,6 +18,7 @@ from ogm_services.mapper.serving.answers import MAP_FORMATS
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe
+from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.replies.answer import Unavailable
 
 
@@ -38,7 +39,7 @@ def refuse(_):
 def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
-    app = build_app(BrokenAnswers(), health, reset)
+    app = build_app(BrokenAnswers(), health, reset, Metrics())
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)

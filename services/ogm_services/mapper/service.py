@@ -37,6 +37,8 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
+from ogm_services.mapper.serving.measurements import TimedSink
+from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
@@ -130,7 +132,13 @@ class MapperService:
         receipts, queue = Receipts(), ScanQueue(limits.queue)
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
-        placer = ScanPlacer(self.live_map, receipts, complain, settings.placing_rules(), hints)
+        self._metrics = Metrics()
+        measured = self._metrics.measurements
+        placer = ScanPlacer(
+            *(TimedSink(self.live_map, measured.integration), receipts, complain, settings.placing_rules()),
+            hints=hints,
+            integrated=measured.scan_integrated,
+        )
         self._queue, self._receipts, self._placer = queue, receipts, placer
         self._worker = Worker(
             queue, placer, receipts, max_beams=limits.max_beams, sensors=SensorRules(settings.sensor_rules())
@@ -246,7 +254,7 @@ class MapperService:
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
-        app = build_app(self.answers, self._health, self.reset)
+        app = build_app(self.answers, self._health, self.reset, self._metrics)
         self._http_thread = HttpThread(app, listener)
         return self._http_thread
 

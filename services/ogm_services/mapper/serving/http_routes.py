@@ -25,7 +25,9 @@ from ogm_services.mapper.serving.api_description import (
     responses,
 )
 from ogm_services.mapper.serving.health import Health
-from ogm_services.mapper.serving.metrics import prometheus_text
+from ogm_services.mapper.serving.measured_http import MeasuredHttp
+from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
+from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.replies.answer import Answer, Parameters, Starting
@@ -74,7 +76,7 @@ class _WithoutUnheard:
         await self._app(scope, receive, send)
 
 
-def build_app(answers: Answers, health: Health, reset: Callable[[str], None]) -> FastAPI:
+def build_app(answers: Answers, health: Health, reset: Callable[[str], None], metrics: Metrics) -> FastAPI:
     """Make the application; nothing is computed before a request comes."""
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
@@ -87,7 +89,9 @@ def build_app(answers: Answers, health: Health, reset: Callable[[str], None]) ->
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
-    app.add_middleware(_WithoutUnheard)  # the last one is the first that a request meets
+    app.add_middleware(_WithoutUnheard)
+    # The last one is the first that a request meets.
+    app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
         described = map_responses(wanted.media_type)
@@ -97,7 +101,7 @@ def build_app(answers: Answers, health: Health, reset: Callable[[str], None]) ->
     _get(
         app, "/status", _handler(answers.status), responses("application/json", Status), "The mapper's status"
     )
-    _add_service_routes(app, answers, health, version)
+    _add_service_routes(app, answers, health, metrics, version)
 
     described = responses("application/json", Status, problems=(401, 403, 413, 503))
 
@@ -114,7 +118,9 @@ def build_app(answers: Answers, health: Health, reset: Callable[[str], None]) ->
     return app
 
 
-def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version: str) -> None:
+def _add_service_routes(
+    app: FastAPI, answers: Answers, health: Health, metrics: Metrics, version: str
+) -> None:
     page = files("ogm_services.mapper.serving").joinpath("page/index.html").read_text("utf-8")
 
     async def show_page(_: Request) -> Response:
@@ -126,9 +132,9 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
     async def readyz(_: Request) -> Response:
         return _probe(health.not_ready())
 
-    async def metrics(_: Request) -> Response:
-        text = prometheus_text(await run_in_threadpool(answers.current_status))
-        return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
+    async def show_metrics(_: Request) -> Response:
+        text = await run_in_threadpool(lambda: metrics.text(answers.current_status()))
+        return PlainTextResponse(text, media_type=METRICS_TYPE)
 
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
@@ -136,7 +142,7 @@ def _add_service_routes(app: FastAPI, answers: Answers, health: Health, version:
     _get(app, "/", show_page, responses("text/html"), "The live page")
     _get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
     _get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
-    _get(app, "/metrics", metrics, responses("text/plain"), "The status as Prometheus text")
+    _get(app, "/metrics", show_metrics, responses("text/plain"), "Metrics for Prometheus")
     _get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
 
 

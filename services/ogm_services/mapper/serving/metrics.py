@@ -1,73 +1,134 @@
-"""The mapper's status as Prometheus text (exposition format 0.0.4)."""
+"""Metrics of a mapper as Prometheus text (exposition format 0.0.4).
 
-from collections.abc import Mapping
+No label takes a value of which there may be any number: sensors and runs are counted in the status alone.
+"""
+
+import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib.metadata import version
+
+from prometheus_client import ProcessCollector, generate_latest
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from ogm_core.status import PoseCounts, RobotStatus, ScanCounts, Status
+from ogm_services.mapper.serving.measurements import Measurements
+
+MEDIA_TYPE = "text/plain; version=0.0.4"
+_NOT_USED = ("malformed", "late", "outlier", "superseded", "refused")
+"""What keeps a pose from being used."""
+
+Source = Callable[[], Iterable[Metric]]
 
 
-def prometheus_text(status: Status) -> str:
-    """Render a mapper's status; every sample carries the map's name."""
-    text, info = _Text(status.map), status.map_info
-    _scans(text, status.scans)
-    _poses(text, status.poses)
-    text.single("ogm_messages_ignored_total", "counter", "Neither poses nor scans.", status.other.ignored)
-    text.single("ogm_map_revision", "gauge", "Scans integrated since the map was made.", status.revision)
-    text.single("ogm_map_known_cells", "gauge", "Cells that were ever updated.", info.known_cells)
-    text.single("ogm_map_bytes", "gauge", "Memory that the map has allocated.", info.bytes)
-    text.single("ogm_robots", "gauge", "Robots heard of.", len(status.robots))
-    _robots(text, status.robots)
-    text.single("ogm_uptime_seconds", "gauge", "Time since the mapper started.", status.uptime_s)
-    return "\n".join(text.lines) + "\n"
+class Metrics:
+    """What Prometheus is told of one mapper: its status, measurements, other sources, and its process."""
+
+    def __init__(self, *sources: Source) -> None:
+        self.measurements = Measurements()
+        self._sources = (*sources, self.measurements.collect, _build_info)
+        self._process = ProcessCollector(registry=None)
+
+    def text(self, status: Status) -> bytes:
+        """Everything, now; all that is the mapper's own has the label `map`."""
+        return generate_latest(_Collected(self._collect(status)))
+
+    def _collect(self, status: Status) -> Iterator[Metric]:
+        for source in (lambda: _status_families(status), *self._sources):
+            for family in source():
+                family.samples = [
+                    sample._replace(labels={"map": status.map, **sample.labels})
+                    for sample in family.samples
+                    if not sample.name.endswith("_created")  # each one a series more, which nobody reads
+                ]
+                yield family
+        yield from self._process.collect()
 
 
-class _Text:
-    """Lines of samples, by family; labels begin with a comma."""
+class _Collected:
+    """What `generate_latest` takes."""
 
-    def __init__(self, map_name: str) -> None:
-        self._map_name = map_name
-        self.lines: list[str] = []
+    def __init__(self, families: Iterator[Metric]) -> None:
+        self._families = families
 
-    def family(self, metric: str, kind: str, text: str, samples: Mapping[str, float]) -> None:
-        self.lines.extend((f"# HELP {metric} {text}", f"# TYPE {metric} {kind}"))
-        for labels, value in samples.items():
-            self.lines.append(f'{metric}{{map="{self._map_name}"{labels}}} {value}')
-
-    def single(self, metric: str, kind: str, text: str, value: float) -> None:
-        self.family(metric, kind, text, {"": value})
+    def collect(self) -> Iterator[Metric]:
+        return self._families
 
 
-def _scans(text: _Text, scans: ScanCounts) -> None:
-    text.single("ogm_scans_received_total", "counter", "Scans that arrived.", scans.received)
-    text.single("ogm_scans_integrated_total", "counter", "Scans that are in the map.", scans.integrated)
-    text.single("ogm_scans_pending", "gauge", "Scans that wait.", scans.pending)
-    dropped = {f',reason="{reason}"': count for reason, count in scans.dropped.items()}
-    text.family("ogm_scans_dropped_total", "counter", "Scans that will never be in the map.", dropped)
+def gauge(name: str, text: str, value: float) -> Metric:
+    """A family of one sample."""
+    return GaugeMetricFamily(name, text, value)
 
 
-def _poses(text: _Text, poses: PoseCounts) -> None:
-    text.single("ogm_poses_received_total", "counter", "Poses that arrived.", poses.received)
-    reasons = ("malformed", "late", "outlier", "superseded", "refused")
-    refused = {f',reason="{reason}"': getattr(poses, reason) for reason in reasons}
-    text.family("ogm_poses_refused_total", "counter", "Poses that were not used.", refused)
-    text.single("ogm_poses_restarted_total", "counter", "Poses whose clock had gone back.", poses.restarted)
-    text.single("ogm_poses_ambiguous_total", "counter", "Poses with the stamp of another.", poses.ambiguous)
+def gauges(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:
+    """A family of a sample for each value of a label."""
+    family = GaugeMetricFamily(name, text, labels=[label])
+    for of, value in values.items():
+        family.add_metric([of], value)
+    return family
 
 
-def _robots(text: _Text, robots: Mapping[str, RobotStatus]) -> None:
-    alive: dict[str, float] = {}
-    ages: dict[str, float] = {}
-    dropped: dict[str, float] = {}
-    hints: dict[str, float] = {}
-    for name, robot in robots.items():
-        label = f',robot="{name}"'
-        alive[label] = int(robot.alive)
-        if robot.age_s is not None:
-            ages[label] = robot.age_s
-        for sensor, source in robot.sources.items():
-            of = f'{label},sensor="{sensor}"'
-            dropped |= {f'{of},reason="{reason}"': count for reason, count in source.dropped.items()}
-            hints |= {f'{of},hint="{hint}"': 1 for hint in source.hints}
-    text.family("ogm_robot_alive", "gauge", "Whether the robot says that it is alive.", alive)
-    text.family("ogm_robot_age_seconds", "gauge", "Time since the robot's last message.", ages)
-    text.family("ogm_source_scans_dropped_total", "counter", "Dropped scans of each sensor.", dropped)
-    text.family("ogm_source_hint", "gauge", "1 for what looks wrong with a sensor's data.", hints)
+def _counters(name: str, text: str, label: str, values: Mapping[str, float]) -> Metric:
+    family = CounterMetricFamily(name, text, labels=[label])
+    for of, value in values.items():
+        family.add_metric([of], value)
+    return family
+
+
+def _build_info() -> Iterator[Metric]:
+    labels = {
+        "version": version("zenoh-ogm"),
+        "python": platform.python_version(),
+        "zenoh": version("eclipse-zenoh"),
+    }
+    family = GaugeMetricFamily("ogm_build_info", "1, with the versions that run.", labels=list(labels))
+    family.add_metric(list(labels.values()), 1)
+    yield family
+
+
+def _status_families(status: Status) -> Iterator[Metric]:
+    info = status.map_info
+    yield from _scans(status.scans)
+    yield from _poses(status.poses)
+    yield CounterMetricFamily("ogm_messages_ignored_total", "Neither poses nor scans.", status.other.ignored)
+    yield gauge("ogm_map_revision", "Scans integrated since the map was made.", status.revision)
+    yield gauge("ogm_map_known_cells", "Cells that were ever updated.", info.known_cells)
+    yield gauge("ogm_map_bytes", "Memory that the map has allocated.", info.bytes)
+    yield gauge("ogm_robots", "Robots heard of.", len(status.robots))
+    yield from _robots(status.robots)
+    yield gauge("ogm_uptime_seconds", "Time since the mapper started.", status.uptime_s)
+
+
+def _scans(scans: ScanCounts) -> Iterator[Metric]:
+    yield CounterMetricFamily("ogm_scans_received_total", "Scans that arrived.", scans.received)
+    yield CounterMetricFamily("ogm_scans_integrated_total", "Scans that are in the map.", scans.integrated)
+    yield gauge("ogm_scans_pending", "Scans that wait.", scans.pending)
+    lost = "Scans that will never be in the map."
+    yield _counters("ogm_scans_dropped_total", lost, "reason", scans.dropped)
+
+
+def _poses(poses: PoseCounts) -> Iterator[Metric]:
+    yield CounterMetricFamily("ogm_poses_received_total", "Poses that arrived.", poses.received)
+    refused = {reason: getattr(poses, reason) for reason in _NOT_USED}
+    yield _counters("ogm_poses_refused_total", "Poses that were not used.", "reason", refused)
+    anew = "Poses whose clock had gone back."
+    yield CounterMetricFamily("ogm_poses_restarted_total", anew, poses.restarted)
+    yield CounterMetricFamily(
+        "ogm_poses_ambiguous_total", "Poses with the stamp of another.", poses.ambiguous
+    )
+
+
+def _robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
+    """Four samples a robot at most: reasons, and sensors, of which each has several, are in the status."""
+    alive = {name: int(robot.alive) for name, robot in robots.items()}
+    yield gauges("ogm_robot_alive", "Whether the robot says that it is alive.", "robot", alive)
+    ages = {name: robot.age_s for name, robot in robots.items() if robot.age_s is not None}
+    yield gauges("ogm_robot_age_seconds", "Time since the robot's last message.", "robot", ages)
+    dropped = {
+        name: sum(sum(source.dropped.values()) for source in robot.sources.values())
+        for name, robot in robots.items()
+    }
+    yield _counters("ogm_robot_scans_dropped_total", "Dropped scans of the robot.", "robot", dropped)
+    hints = {
+        name: sum(len(source.hints) for source in robot.sources.values()) for name, robot in robots.items()
+    }
+    yield gauges("ogm_robot_hints", "How much looks wrong with the robot's data.", "robot", hints)

@@ -1,0 +1,77 @@
+"""Measurements of a mapper as things happen: how long scans and requests take, and how many there are."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from prometheus_client import Counter, Histogram
+from prometheus_client.metrics_core import GaugeMetricFamily, Metric
+
+from ogm_core.placing.scan_placer import ScanSink
+from ogm_core.types import Pose, Scan, Sweep
+
+AGE_BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
+INTEGRATION_BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1, 0.25, 1.0, 5.0)
+REQUEST_BUCKETS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+
+
+class Measurements:
+    """Counts and histograms of one mapper; any thread. No registry: nothing is shared between mappers."""
+
+    def __init__(self) -> None:
+        self._last_integrated: float | None = None
+        self._age = Histogram(
+            "ogm_scan_age_seconds",
+            "Time from a scan's arrival until it was in the map.",
+            buckets=AGE_BUCKETS,
+            registry=None,
+        )
+        self.integration = Histogram(
+            "ogm_scan_integration_seconds",
+            "Time that the map took for a scan that it has integrated.",
+            buckets=INTEGRATION_BUCKETS,
+            registry=None,
+        )
+        self._requests = Counter(
+            "ogm_http_requests_total", "HTTP requests.", ["route", "method", "status"], registry=None
+        )
+        self._durations = Histogram(
+            "ogm_http_request_duration_seconds",
+            "Time until an HTTP request was answered to its end.",
+            ["route"],
+            buckets=REQUEST_BUCKETS,
+            registry=None,
+        )
+
+    def scan_integrated(self, arrival: float) -> None:
+        """Note that a scan is in the map that arrived at `arrival`, s of the monotonic clock."""
+        self._last_integrated = time.time()
+        self._age.observe(time.monotonic() - arrival)
+
+    def http_answered(self, route: str, method: str, status: str, seconds: float) -> None:
+        """Note a request, by names of which there are few."""
+        self._requests.labels(route, method, status).inc()
+        self._durations.labels(route).observe(seconds)
+
+    def collect(self) -> Iterator[Metric]:
+        """Everything that has been measured."""
+        if self._last_integrated is not None:
+            text = "When a scan was last integrated, Unix time."
+            yield GaugeMetricFamily("ogm_last_integrated_timestamp_seconds", text, self._last_integrated)
+        for instrument in (self._age, self.integration, self._requests, self._durations):
+            yield from instrument.collect()
+
+
+@dataclass(frozen=True)
+class TimedSink:
+    """A map that measures how long it takes for each scan that it integrates."""
+
+    sink: ScanSink
+    histogram: Histogram
+
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+        """Hand a scan on to the map; see `ScanSink`."""
+        began = time.perf_counter()
+        updates = self.sink.integrate(scan, pose, sweep)
+        self.histogram.observe(time.perf_counter() - began)
+        return updates
