@@ -43,6 +43,9 @@ class Measurements:
             registry=None,
         )
 
+        self._of_requests: dict[tuple[str, str, str], tuple[Counter, Histogram]] = {}
+        """Series that were looked up before: `labels` takes longer than all the rest."""
+
     def scan_integrated(self, arrival: float) -> None:
         """Note that a scan is in the map that arrived at `arrival`, s of the monotonic clock."""
         self._last_integrated = time.time()
@@ -50,8 +53,14 @@ class Measurements:
 
     def http_answered(self, route: str, method: str, status: str, seconds: float) -> None:
         """Note a request, by names of which there are few."""
-        self._requests.labels(route, method, status).inc()
-        self._durations.labels(route).observe(seconds)
+        key = route, method, status
+        series = self._of_requests.get(key)
+        if series is None:
+            series = self._requests.labels(*key), self._durations.labels(route)
+            self._of_requests[key] = series
+        count, duration = series
+        count.inc()
+        duration.observe(seconds)
 
     def collect(self) -> Iterator[Metric]:
         """Everything that has been measured."""
