@@ -31,7 +31,7 @@ class RunningMapper:
 @contextmanager
 def mapper(*flags: str) -> Iterator[RunningMapper]:
     """An `ogm mapper` process with these flags."""
-    command = ["mapper", "--http-port", "0", "--listen", "tcp/127.0.0.1:0", *flags]
+    command = ["mapper", "--http-port", "0", "--listen", "tcp/127.0.0.1:0", "--log-level", "warning", *flags]
     with ogm(*command) as process:
         endpoint = line_after(process, "on Zenoh at ")
         yield RunningMapper(endpoint, line_after(process, "live map "))

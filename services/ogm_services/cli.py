@@ -368,12 +368,31 @@ def status(
     url: Url = None,
     config: ConfigFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Look again every SECONDS (default: 2), until Ctrl-C.")
+    ] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Argument(metavar="SECONDS", help="With --watch: time between two looks.", show_default=False),
+    ] = None,
 ) -> None:
     """Show what a running mapper is doing."""
     from ogm_client.transport import json_object
-    from ogm_services.commands.mapper_client import mapper_client
+    from ogm_services.commands.mapper_client import address_of, mapper_client
 
-    with mapper_client(url, settings_from(config, network).network) as client:
+    asked = settings_from(config, network).network
+    if watch:
+        from ogm_services.commands import status_watch
+
+        period = status_watch.check_period(seconds)
+        with running_service():
+            status_watch.watch(
+                lambda: mapper_client(url, asked), address_of(url, asked), period, as_json=as_json
+            )
+        return
+    if seconds is not None:
+        raise BadInput(f"{seconds:g}: a time between two looks needs --watch")
+    with mapper_client(url, asked) as client:
         if as_json:
             typer.echo(json.dumps(json_object("status", client.fetch("status")), indent=2))
             return

@@ -8,6 +8,12 @@ from ogm_client.session import open_session
 from ogm_services.settings.settings import NetworkSettings
 
 
+def address_of(url: str | None, network: NetworkSettings) -> str:
+    """Where the mapper is looked for, in words."""
+    config = network.for_client()
+    return url or ", ".join((*config.connect, *config.listen)) or str(config.config_file)
+
+
 @contextmanager
 def mapper_client(url: str | None, network: NetworkSettings) -> Iterator[ogm_client.MapClient]:
     """A client of the mapper at `url`, or else where `network` says; an HTTP address needs no `network`.

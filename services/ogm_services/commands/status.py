@@ -24,8 +24,11 @@ WHAT_HELPS: Mapping[str, str] = {
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"
 
 
-def status_tables(status: Status) -> list[Table]:
-    """The mapper's status for the eye: the map, a row for every robot and sensor, and what went wrong."""
+def status_tables(status: Status, rates: str | None = None) -> list[Table]:
+    """The mapper's status for the eye: the map, a row for every robot and sensor, and what went wrong.
+
+    `rates`: what happens a second, in words, if that is known.
+    """
     scans, info = status.scans, status.map_info
     whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status.map}", title_justify="left")
     whole.add_column(style="bold")
@@ -35,6 +38,7 @@ def status_tables(status: Status) -> list[Table]:
         "revision": status.revision,
         "stamp": _time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
+        "a second": rates or "",
         "dropped": _nonzero(scans.dropped),
         "poses": _poses(status.poses),
         "ignored": status.other.ignored,
@@ -44,7 +48,8 @@ def status_tables(status: Status) -> list[Table]:
         "up": f"{status.uptime_s:.0f} s",
     }
     for label, value in rows.items():
-        whole.add_row(label, str(value))
+        if value != "":
+            whole.add_row(label, str(value))
     shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
     return [whole, *(table for table in (_robots(shown), _sources(shown), _wrong(shown)) if table.rows)]
 

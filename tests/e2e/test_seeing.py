@@ -1,7 +1,8 @@
-"""What a mapper logs from its start to its end."""
+"""What an operator sees of a mapper: its log from start to end, and its status while it comes and goes."""
 
 import json
 import re
+import signal
 import socket
 import urllib.request
 from importlib.metadata import version
@@ -68,3 +69,16 @@ def test_an_error_that_ends_a_mapper_has_the_logs_form(ogm, form):
     last = ended.err.splitlines()[-1]
     told = last.removeprefix("ogm: ") if form == "text" else json.loads(last)["message"]
     assert told.startswith(f"--http-host 127.0.0.1 --http-port {port}: cannot serve")
+
+
+def test_a_watch_outlives_its_mapper_and_ends_well(ogm, endpoint, eventually):
+    first = ogm.ready(ogm.mapper("--listen", endpoint))
+    watch = ogm.start("status", "--watch", "0.2", "--json", "--url", endpoint)
+    epoch = json.loads(watch.line(r"(\{.*\})$")[1])["epoch"]
+    first.command.stop()
+    watch.complains(f"ogm: no mapper answers at {endpoint}, trying again\n")
+    second = ogm.ready(ogm.mapper("--listen", endpoint))
+    other = second.status()["epoch"]
+    watch.line(rf'.*"epoch": "{other}"')
+    assert other != epoch
+    assert watch.stop(signal.SIGINT).code == 0
