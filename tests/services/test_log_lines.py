@@ -5,13 +5,15 @@ import json
 import logging
 import re
 import sys
+import threading
+import warnings
 from contextlib import suppress
 
 import pytest
 import typer
 
 from ogm_core.errors import BadInput, OgmError
-from ogm_services.runtime.log_lines import BURST, MAX_LENGTH, RATE, RateLimit, log_to_stderr
+from ogm_services.runtime.log_lines import BURST, MAX_LENGTH, RATE, RateLimit, log_to_stderr, tell
 
 OURS = logging.getLogger("ogm_services.tests")
 FORGED = "\n2026-01-01 00:00:00,000 INFO ogm_services: the map was reset\r\x1b[2Jx\u2028y\x85z"
@@ -112,7 +114,7 @@ def test_nothing_is_left_behind(logged):
     assert (list(root.handlers), [logging.getLogger(name).level for name in names]) == before
 
 
-@pytest.mark.parametrize(("kind", "code"), [(OgmError, 1), (BadInput, 2)])
+@pytest.mark.parametrize(("kind", "code"), [(OgmError, 1), (BadInput, 2), (ZeroDivisionError, 1)])
 def test_the_error_that_ends_a_service_is_a_line_of_json(logged, kind, code):
     def end():
         raise kind("the port is\ntaken")
@@ -128,8 +130,40 @@ def test_the_error_that_ends_a_service_is_a_line_of_json(logged, kind, code):
 
     written = logged(act, "error")
     (line,) = [line for line in written if line.startswith("{")]
-    assert (json.loads(line)["level"], json.loads(line)["message"]) == ("error", "the port is\ntaken")
+    assert (json.loads(line)["level"], json.loads(line)["message"]) == ("critical", "the port is\ntaken")
+    assert ("exception" in json.loads(line)) is (kind is ZeroDivisionError)
     assert codes == [code]
+
+
+def test_a_thread_that_ends_by_an_error_is_a_line(logged):
+    def act():
+        thread = threading.Thread(target=refuse, args=("r1",), name="ogm-odd")
+        thread.start()
+        thread.join()
+
+    (line,) = logged(act, form="json")
+    entry = json.loads(line)
+    assert (entry["level"], entry["message"]) == ("critical", "ogm-odd has ended by an error")
+    assert entry["exception"].endswith("ValueError: r1")
+
+
+def test_warnings_of_libraries_are_lines(logged):
+    def act():
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("two\nlines", RuntimeWarning, stacklevel=1)
+
+    (line,) = logged(act, form="json")
+    assert "RuntimeWarning: two\nlines" in json.loads(line)["message"]
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_what_a_start_tells_is_a_line_of_json_too(logged, form, capsys):
+    lines = logged(lambda: tell("kernels\nare compiled"), form=form)
+    if form == "text":
+        assert lines == ["ogm: kernels", "are compiled"]
+    else:
+        assert json.loads(lines[0])["message"] == "kernels\nare compiled"
 
 
 def record(name="worker", level=logging.WARNING):

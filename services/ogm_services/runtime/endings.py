@@ -35,7 +35,7 @@ class OneLineErrors(TyperGroup):
         sys.exit(code)
 
 
-def exit_code_of(error: OgmError) -> int:
+def exit_code_of(error: Exception) -> int:
     """The exit code of a command that ends with an error."""
     return BAD_INPUT if isinstance(error, BadInput) else FAILED
 

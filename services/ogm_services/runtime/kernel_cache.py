@@ -29,6 +29,7 @@ import typer
 import ogm_core
 from ogm_core.errors import BadSetting, OgmError
 from ogm_core.whole_files import NO_ROOM
+from ogm_services.runtime.log_lines import tell
 
 VARIABLE = "NUMBA_CACHE_DIR"
 LOCATOR_VARIABLE = "NUMBA_CACHE_LOCATOR_CLASSES"
@@ -74,10 +75,9 @@ def kernel_cache() -> Iterator[Path]:
         )
     else:
         with _temporary() as place, _numba_uses(place / own):
-            typer.echo(
-                f"ogm: {parent} cannot be written: kernels are compiled at every start, which takes longer; "
-                f"set {VARIABLE} to a folder that lasts",
-                err=True,
+            tell(
+                f"{parent} cannot be written: kernels are compiled at every start, which takes longer; "
+                f"set {VARIABLE} to a folder that lasts"
             )
             yield place / own
 

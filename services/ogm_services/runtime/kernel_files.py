@@ -14,15 +14,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import typer
 from numba.core import caching, config
+
+from ogm_services.runtime.log_lines import tell
 
 _writers: dict[int, str] = {}
 
 
 @cache
 def _tell_once(why: str) -> None:
-    typer.echo(f"ogm: compiled kernels cannot be kept in {why}: they are compiled at every start", err=True)
+    tell(f"compiled kernels cannot be kept in {why}: they are compiled at every start")
 
 
 class _KernelFile(caching.IndexDataCacheFile):

@@ -3,6 +3,7 @@
 import json
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,8 +31,8 @@ log = logging.getLogger(__name__)
 def log_to_stderr(level: str, form: str) -> Iterator[None]:
     """Log what happens inside, from a level of debug, info, warning and error on, as `text` or as `json`.
 
-    As JSON an error that ends what runs inside is a line of the log, too, with the exit code that it has
-    anyway.
+    As JSON everything on stderr is a line of the log, an error that ends what runs inside, too, with the exit
+    code that it has anyway.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLine() if form == "json" else TextLine())
@@ -45,14 +46,21 @@ def log_to_stderr(level: str, form: str) -> Iterator[None]:
     for name, logger in loggers.items():
         logger.setLevel(levels[name])
     loggers[""].addHandler(handler)
+    of_threads, threading.excepthook = threading.excepthook, _log_end_of_thread
+    logging.captureWarnings(True)
     try:
         yield
-    except OgmError as error:
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:
         if form != "json":
             raise
-        log.error("%s", error)  # noqa: TRY400 (the user's error, not ours: no traceback)
+        expected = isinstance(error, OgmError)
+        log.critical("%s", error, exc_info=None if expected else error)
         raise typer.Exit(exit_code_of(error)) from None
     finally:
+        logging.captureWarnings(False)
+        threading.excepthook = of_threads
         loggers[""].removeHandler(handler)
         for name, logger in loggers.items():
             logger.setLevel(before[name])
@@ -67,6 +75,20 @@ def log_nothing() -> Iterator[None]:
         yield
     finally:
         ours.removeHandler(silent)
+
+
+def tell(text: str) -> None:
+    """Say something on stderr that whoever starts a command should know, whether it logs or not."""
+    if any(isinstance(handler.formatter, JsonLine) for handler in logging.getLogger().handlers):
+        log.warning("%s", text)
+    else:
+        typer.echo(f"ogm: {text}", err=True)
+
+
+def _log_end_of_thread(ended: threading.ExceptHookArgs) -> None:
+    name = ended.thread.name if ended.thread else "a thread"
+    if ended.exc_value is not None:
+        log.critical("%s has ended by an error", name, exc_info=ended.exc_value)
 
 
 class RateLimit:
