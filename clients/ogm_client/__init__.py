@@ -11,6 +11,7 @@ from ogm_client.errors import (
     ClientError,
     MapperError,
     NobodyAnswered,
+    NotHeard,
 )
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
@@ -49,6 +50,7 @@ __all__ = [
     "MapGrid",
     "MapperError",
     "NobodyAnswered",
+    "NotHeard",
     "OgmError",
     "Ray",
     "Rays",

@@ -5,6 +5,7 @@ OgmError
     +-- CannotConnect     nothing takes connections at the address
     +-- CannotListen      an address to listen on is taken, or is not this machine's
     +-- NobodyAnswered    connected, but no mapper of that map answered in time
+    +-- NotHeard          a mapper answers, and hears nothing of what the robot publishes
     +-- MapperError       the mapper refused the request: `type`, `status`, `detail`
     +-- BadReply          the answer is not what a mapper answers
 
@@ -14,6 +15,7 @@ importable from `ogm_client`.
 """
 
 from ogm_core.errors import OgmError
+from ogm_core.status import RobotStatus
 
 
 class ClientError(OgmError):
@@ -49,6 +51,16 @@ def nobody(map_name: str, where: str, timeout: float) -> NobodyAnswered:
         f"no mapper of map {map_name!r} answered {where} within {timeout:g} s: "
         f"is `ogm mapper` running there, with --map {map_name}?"
     )
+
+
+class NotHeard(ClientError):
+    """A mapper answers, and hears nothing of what a robot publishes; `status`: what it says of the robot."""
+
+    slug = "not-heard"
+
+    def __init__(self, text: str, status: RobotStatus) -> None:
+        super().__init__(text)
+        self.status = status
 
 
 class MapperError(ClientError):

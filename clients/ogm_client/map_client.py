@@ -4,6 +4,7 @@ import math
 import numbers
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
+from ogm_client.session import NetworkConfig
 from ogm_client.status_reply import read_status
 from ogm_client.transport import NAMES, MapReply, Transport, json_object
 from ogm_client.zenoh_transport import ZenohTransport
@@ -43,25 +45,29 @@ class MapClient:
 
     def __init__(
         self,
-        address: str = DEFAULT_ADDRESS,
+        address: str | None = None,
         *,
+        zenoh_config: str | Path | None = None,
         map_name: str | None = None,
         timeout: float = DEFAULT_TIMEOUT,
         session: zenoh.Session | None = None,
     ) -> None:
         """Connect to "http://host:port" or "https://...", or by Zenoh to an endpoint such as "tcp/host:port".
 
+        Without an address: as `zenoh_config` says, a Zenoh configuration file (JSON5, with TLS if you like),
+        else to a mapper on this machine. With both, the address overrides the file's.
         `map_name` None: the map "default" over Zenoh, over HTTP whichever is served there; one that is given
         must be the one served, else requests raise NobodyAnswered. `timeout` of each answer in seconds. An
         open Zenoh `session` is used in place of `address`, and stays open.
 
         Raises:
-            BadSetting: the address, the map's name or the timeout is ill-formed.
+            BadSetting: the address, the map's name, the timeout or the file is ill-formed, or they do not go
+                together.
             CannotConnect: nothing takes Zenoh connections at the address (HTTP connects when first asked).
         """
         if not 0.0 < timeout < math.inf:
             raise BadSetting(f"timeout: a positive number of seconds is needed, got {timeout}")
-        self._transport = _transport(address, map_name, timeout, session)
+        self._transport = _transport(address, zenoh_config, map_name, timeout, session)
 
     def get_map(self, region: ArrayLike | None = None) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
@@ -143,18 +149,29 @@ class MapClient:
 
 
 def _transport(
-    address: str, map_name: str | None, timeout: float, session: zenoh.Session | None
+    address: str | None,
+    zenoh_config: str | Path | None,
+    map_name: str | None,
+    timeout: float,
+    session: zenoh.Session | None,
 ) -> Transport:
-    if session is None and address.startswith(("http://", "https://")):
-        # Here, because it loads httpx, which who speaks Zenoh need not wait for.
-        from ogm_client.http_transport import HttpTransport
+    if session is not None and zenoh_config is not None:
+        raise BadSetting("zenoh_config: an open session has a configuration already; give one of the two")
+    if session is None and isinstance(address, str):
+        if address.startswith(("http://", "https://")):
+            if zenoh_config is not None:
+                raise BadSetting(f"zenoh_config: {address} is asked over HTTP; give one of the two")
+            # Here, because it loads httpx, which who speaks Zenoh need not wait for.
+            from ogm_client.http_transport import HttpTransport
 
-        return HttpTransport(address, timeout, map_name)
-    if session is None and ("://" in address or "/" not in address):
-        raise BadSetting(
-            f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, is needed"
-        )
-    return ZenohTransport(address, DEFAULT_MAP if map_name is None else map_name, timeout, session)
+            return HttpTransport(address, timeout, map_name)
+        if "://" in address or "/" not in address:
+            raise BadSetting(
+                f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, "
+                "is needed"
+            )
+    network = NetworkConfig.of_client(address, zenoh_config)
+    return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, timeout, session)
 
 
 def _grid(reply: MapReply) -> MapGrid:

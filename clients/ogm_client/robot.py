@@ -7,6 +7,7 @@ import uuid
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -14,13 +15,14 @@ import zenoh
 from numpy.typing import ArrayLike
 
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
+from ogm_client.heard import Sent, not_heard
 from ogm_client.map_client import MapClient
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session, reason
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
-from ogm_core.wire.keys import DEFAULT_ADDRESS, NAME, MapKeys, check_name
+from ogm_core.wire.keys import NAME, MapKeys, check_name
 from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
@@ -55,7 +57,8 @@ class RobotPublisher:
         self,
         robot: str,
         *,
-        address: str = DEFAULT_ADDRESS,
+        address: str | None = None,
+        zenoh_config: str | Path | None = None,
         session: zenoh.Session | None = None,
         map_name: str = "default",
         run: str | None = None,
@@ -65,16 +68,21 @@ class RobotPublisher:
     ) -> None:
         """Connect to `address`, or use an open `session`, which stays open when the publisher closes.
 
+        Without an address: as `zenoh_config` says, a Zenoh configuration file (JSON5, with TLS if you like),
+        else to a mapper on this machine. With both, the address overrides the file's.
+
         `run` names this run of the robot; None makes a fresh one. A mapper, or a router, that starts later
         is waited for, up to `connect_timeout` in seconds; without `wait` it must be there.
 
         Raises:
-            BadSetting: a name cannot stand in a key, or the address or the timeout is ill-formed.
+            BadSetting: a name cannot stand in a key, or the address, the file or the timeout is ill-formed.
             CannotConnect: the address's host is unknown, or nothing takes connections there in time.
             ClientError: the open session is closed.
         """
         if not connect_timeout >= 0.0:
             raise BadSetting(f"connect_timeout: 0 s or more are needed, got {connect_timeout}")
+        if session is not None and zenoh_config is not None:
+            raise BadSetting("zenoh_config: an open session has a configuration already; give one of the two")
         self.robot = check_name(robot, "robot")
         self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
         self._keys = MapKeys(map_name)
@@ -85,9 +93,10 @@ class RobotPublisher:
         self._channels_lock = threading.Lock()
         with ExitStack() as opening:
             if session is None:
-                self._where = f"at {address}"
                 timeout = connect_timeout if wait else CONNECT_TIMEOUT
-                self._session = open_session(NetworkConfig(connect=(address,), connect_timeout=timeout))
+                network = NetworkConfig.of_client(address, zenoh_config, timeout)
+                self._where = network.where
+                self._session = open_session(network)
                 opening.callback(self._session.close)
             else:
                 self._where = "on the open session"
@@ -109,7 +118,7 @@ class RobotPublisher:
         channel = self._pose_channel()
         with channel.lock:
             now = time.time_ns() if stamp is None else self._looked_at(stamp_of(stamp))
-            channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)))
+            channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)), self.run, channel.seq)
             channel.seq += 1
 
     def publish_scan(
@@ -161,7 +170,7 @@ class RobotPublisher:
                 seq=channel.seq,
                 run=self.run,
             )
-            channel.put(messages.encode_scan(scan))
+            channel.put(messages.encode_scan(scan), self.run, channel.seq)
             channel.seq += 1
 
     def put_pose(self, message: PoseStamped) -> None:
@@ -173,7 +182,7 @@ class RobotPublisher:
         """
         payload = _pose_payload(message)
         self._declare_run(message.run)
-        self._pose_channel().put(payload)
+        self._pose_channel().put(payload, message.run, message.seq)
 
     def put_scan(self, sensor: str, scan: Scan) -> None:
         """Send a scan message as it is, with the `run` and `seq` that it carries.
@@ -185,12 +194,13 @@ class RobotPublisher:
         """
         payload = _scan_payload(scan)
         self._declare_run(scan.run)
-        self._scan_channel(sensor).put(payload)
+        self._scan_channel(sensor).put(payload, scan.run, scan.seq)
 
     def wait_for_mapper(self, timeout: float = 5.0) -> None:
         """Return once somebody subscribes to this robot's poses; what was published before may be lost.
 
-        `timeout` in seconds.
+        `timeout` in seconds. Whether access control lets the robot's messages through nobody tells in
+        advance: `feedback` does, once some have been published.
 
         Raises:
             NobodyAnswered: nobody does in time.
@@ -212,6 +222,7 @@ class RobotPublisher:
         the mapper has not heard of has no sources. `timeout` of the answer in seconds.
 
         Raises:
+            NotHeard: for some seconds the mapper has heard nothing of what this publisher has published.
             BadSetting: the timeout is not a positive number.
             NobodyAnswered: no mapper of the map does in time.
             MapperError: it is starting, or too busy.
@@ -222,10 +233,17 @@ class RobotPublisher:
             raise ClientError(f"robot {self.robot!r}: the publisher is closed")
         client = MapClient(session=self._session, map_name=self._keys.map_name, timeout=timeout)
         try:
-            robots = client.status().robots
+            whole = client.status()
         except NobodyAnswered as error:
             raise nobody(self._keys.map_name, self._where, timeout) from error
-        return robots.get(self.robot, RobotStatus(None, None))
+        status = whole.robots.get(self.robot, RobotStatus(None, None))
+        with self._channels_lock:
+            channels = list(self._channels.items())
+        for key, channel in channels:
+            sensor = key.rpartition("/scan/")[2] if "/scan/" in key else None
+            if channel.sent.unheard(status, sensor, whole.uptime_s, time.monotonic()):
+                raise not_heard(self.robot, sensor, self._keys.map_name, status)
+        return status
 
     def close(self) -> None:
         """Withdraw from the network; a session that was given stays open. Closing twice does nothing."""
@@ -300,6 +318,7 @@ class _Channel:
         self.publisher = publisher
         self.seq = 0
         self.lock = threading.Lock()
+        self.sent = Sent()
 
     @property
     def matched(self) -> bool:
@@ -307,11 +326,13 @@ class _Channel:
         status: Any = self.publisher.matching_status  # a MatchingStatus; Zenoh's stub says bool
         return bool(status.matching)
 
-    def put(self, payload: bytes) -> None:
+    def put(self, payload: bytes, run: str, seq: int) -> None:
+        """Send a message, and remember that it was."""
         try:
             self.publisher.put(payload)
         except zenoh.ZError as error:
             raise ClientError(f"{self.publisher.key_expr}: not sent: {reason(error)}") from error
+        self.sent.note(run, seq, time.monotonic())
 
 
 def _pose_payload(message: PoseStamped) -> bytes:

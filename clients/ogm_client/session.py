@@ -49,6 +49,32 @@ class NetworkConfig:
     config_file: Path | None = None
     connect_timeout: float = CONNECT_TIMEOUT
 
+    @classmethod
+    def of_client(
+        cls, address: str | None, zenoh_config: str | Path | None, connect_timeout: float = CONNECT_TIMEOUT
+    ) -> "NetworkConfig":
+        """How a client connects: to `address`, or as a Zenoh JSON5 file says.
+
+        An address overrides the file's; with neither, to a mapper on this machine.
+
+        Raises:
+            BadSetting: the file is not given as a path.
+        """
+        if not isinstance(zenoh_config, str | Path | None):
+            raise BadSetting(f"zenoh_config: the path of a file is needed, got {zenoh_config!r}")
+        if address is None and zenoh_config is None:
+            address = DEFAULT_ADDRESS
+        return cls(
+            connect=() if address is None else (address,),
+            config_file=None if zenoh_config is None else Path(zenoh_config),
+            connect_timeout=connect_timeout,
+        )
+
+    @property
+    def where(self) -> str:
+        """Where others are looked for, for a sentence: "at ADDRESS", or by which file."""
+        return f"at {', '.join(map(str, self.connect))}" if self.connect else f"as {self.config_file} says"
+
 
 def open_session(config: NetworkConfig) -> zenoh.Session:
     """Open a session; the caller closes it (`with`), or its process hangs at exit.
@@ -77,7 +103,10 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
                 raise failure from error
         if not told:
             told = True
-            log.warning("waiting for a mapper or a Zenoh router at %s", _endpoints(settings, "connect"))
+            endpoints = _endpoints(settings, "connect")
+            log.warning(
+                "waiting for a mapper or a Zenoh router at %s%s", endpoints, _of_certificates(endpoints)
+            )
         if len(turn) > 1:  # a client tries the first one for all of its time, and never comes to the others
             turn = (*turn[1:], turn[0])
             _insert(settings, "connect/endpoints", turn)
@@ -231,7 +260,7 @@ def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | Can
     if connect and (not listen or text.startswith("Unable to connect")):
         return CannotConnect(
             f"cannot connect to {connect}: is a mapper running there? Start one with `ogm mapper`, or give "
-            "the address of a running mapper or Zenoh router"
+            f"the address of a running mapper or Zenoh router{_of_certificates(connect)}"
         )
     if listen:
         return CannotListen(
@@ -239,6 +268,13 @@ def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | Can
             "Choose another address (--listen); port 0 takes a free one"
         )
     return CannotConnect(f"cannot open a Zenoh session: {text}")
+
+
+def _of_certificates(endpoints: str) -> str:
+    """What else may be wrong where endpoints speak TLS: Zenoh itself does not tell."""
+    if not any(f"{protocol}/" in endpoints for protocol in ("tls", "quic")):
+        return ""
+    return "; with TLS each side needs a certificate that the other one's authority has signed, for its name"
 
 
 def _endpoints(settings: zenoh.Config, key: str) -> str:

@@ -18,18 +18,20 @@ _SERVICE_OF: Mapping[str, Service] = {"cell": "cell", "quality": "quality", "sta
 class ZenohTransport:
     """Gets on the keys of the map named `map_name`."""
 
-    def __init__(self, address: str, map_name: str, timeout: float, session: zenoh.Session | None) -> None:
-        """Connect to `address`, or use an open `session`, which stays open; `timeout` of an answer in s.
+    def __init__(
+        self, network: NetworkConfig, map_name: str, timeout: float, session: zenoh.Session | None
+    ) -> None:
+        """Connect as `network` says, or use an open `session`, which stays open; `timeout` of an answer in s.
 
         Raises:
-            BadSetting: the map's name or the address is ill-formed.
+            BadSetting: the map's name, the address or the configuration file is ill-formed.
             CannotConnect: nothing takes connections at the address.
         """
         self._keys = MapKeys(map_name)
         self._timeout = timeout
         self._owns_session = session is None
-        self._where = f"at {address}" if session is None else "on the open session"
-        self._session = open_session(NetworkConfig(connect=(address,))) if session is None else session
+        self._where = network.where if session is None else "on the open session"
+        self._session = open_session(network) if session is None else session
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:
         """The bytes of one of NAMES."""

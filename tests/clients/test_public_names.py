@@ -32,6 +32,7 @@ def test_the_public_names_are_these():
         "MapGrid",
         "MapperError",
         "NobodyAnswered",
+        "NotHeard",
         "OgmError",
         "Ray",
         "Rays",
@@ -46,7 +47,7 @@ def test_the_public_names_are_these():
 
 
 def test_every_error_of_the_client_is_caught_as_one():
-    errors = ["BadReply", "CannotConnect", "CannotListen", "MapperError", "NobodyAnswered"]
+    errors = ["BadReply", "CannotConnect", "CannotListen", "MapperError", "NobodyAnswered", "NotHeard"]
     assert all(issubclass(getattr(ogm_client, name), ogm_client.ClientError) for name in errors)
     assert issubclass(ogm_client.ClientError, ogm_client.OgmError)
 

@@ -277,7 +277,7 @@ def test_a_publisher_need_not_wait(endpoint, caplog, how):
     [
         ({"address": "http://127.0.0.1:8000"}, "a URL is no Zenoh endpoint"),
         ({"address": "tcp/127.0.0.1"}, "a host and a port"),
-        ({"address": None}, "a text such as tcp/127.0.0.1:7447 is needed, got None"),
+        ({"address": 7447}, "a text such as tcp/127.0.0.1:7447 is needed, got 7447"),
         ({"connect_timeout": -1.0}, "connect_timeout: 0 s or more"),
         ({"connect_timeout": np.nan}, "connect_timeout: 0 s or more"),
     ],

@@ -73,8 +73,9 @@ class FakeClient:
 
     asked: list
 
-    def __init__(self, address=None, *, map_name, session=None):
-        FakeClient.asked = [(session or address, map_name)]
+    def __init__(self, address=None, *, map_name, zenoh_config=None, session=None):
+        where = NetworkConfig.of_client(address, zenoh_config) if zenoh_config else address
+        FakeClient.asked = [(session or where, map_name)]
 
     def __enter__(self):
         return self

@@ -27,8 +27,10 @@ def mapper_client(url: str | None, network: NetworkSettings) -> Iterator[ogm_cli
     connect = network.for_client().connect if url is None else (url,)
     over_http = url is not None and url.startswith(("http://", "https://"))
     with ExitStack() as stack:
-        if over_http or (len(connect) == 1 and not network.listen and network.zenoh_config is None):
-            client = ogm_client.MapClient(connect[0], map_name=map_name)
+        if over_http or (len(connect) <= 1 and not network.listen):
+            address = connect[0] if connect else None
+            zenoh_config = None if over_http else network.zenoh_config
+            client = ogm_client.MapClient(address, zenoh_config=zenoh_config, map_name=map_name)
         else:
             config = network.model_copy(update={"connect": connect}).for_client()
             session = stack.enter_context(open_session(config))

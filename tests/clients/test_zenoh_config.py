@@ -1,0 +1,103 @@
+"""Clients whose way to the mapper stands in a Zenoh configuration file."""
+
+import re
+
+import pytest
+import zenoh
+
+from ogm_client import BadSetting, CannotConnect, ClientError, MapClient, RobotPublisher
+from ogm_core.status import encode_status
+from status_json import STATUS
+
+NOWHERE = "tcp/127.0.0.1:1"
+
+
+@pytest.fixture
+def mapper(listener):
+    """What stands for a mapper: it answers `status`, and hears robots."""
+
+    def answer(query):
+        with query:
+            query.reply("ogm/v1/default/status", encode_status(STATUS))
+
+    handlers = [zenoh.handlers.Callback(call, indirect=False) for call in (answer, print)]
+    held = (
+        listener.declare_queryable("ogm/v1/default/status", handlers[0]),
+        listener.declare_subscriber("ogm/v1/default/robots/**", handlers[1]),
+    )
+    yield listener
+    for declared in held:
+        declared.undeclare()
+
+
+@pytest.fixture
+def file(tmp_path):
+    """`file(text)`: a configuration file that finds nobody by itself, and what else it says."""
+
+    def write(text):
+        path = tmp_path / "client.json5"
+        path.write_text(f"{{ // as people write it\n scouting: {{multicast: {{enabled: false}}}}, {text} }}")
+        return path
+
+    return write
+
+
+def ask(**how):
+    with MapClient(**how) as client:
+        assert client.status() == STATUS
+
+
+def publish(**how):
+    with RobotPublisher("r1", wait=False, **how) as robot:
+        robot.wait_for_mapper()
+        assert robot.feedback() is not None
+
+
+@pytest.mark.parametrize("use", [ask, publish])
+def test_the_file_says_where_and_how_and_an_address_overrides_it(mapper, endpoint, file, use):
+    for mode in ("client", "peer"):
+        listen = "" if mode == "client" else ", listen: {endpoints: []}"
+        use(zenoh_config=file(f'mode: "{mode}", connect: {{endpoints: ["{endpoint}"]}}{listen}'))
+        use(zenoh_config=str(file(f'mode: "{mode}"{listen}')), address=endpoint)
+    use(zenoh_config=file(f'mode: "client", connect: {{endpoints: ["{NOWHERE}"]}}'), address=endpoint)
+
+
+@pytest.mark.parametrize("use", [ask, publish])
+def test_what_is_wrong_with_a_file_is_one_line(file, tmp_path, use):
+    def said(kind, **how):
+        with pytest.raises(kind) as error:
+            use(**how)
+        assert "\n" not in str(error.value)
+        return str(error.value)
+
+    assert re.search(
+        r"missing\.json5: no such file", said(BadSetting, zenoh_config=tmp_path / "missing.json5")
+    )
+    assert "client.json5" in said(BadSetting, zenoh_config=file("nonsense: 1"))
+    assert "path of a file" in said(BadSetting, zenoh_config=7)
+    assert NOWHERE in said(
+        CannotConnect, zenoh_config=file(f'mode: "client", connect: {{endpoints: ["{NOWHERE}"]}}')
+    )
+    assert said(CannotConnect, zenoh_config=file('mode: "client"'))
+    tls = "tls/127.0.0.1:1"
+    assert "a certificate that the other one's authority has signed" in said(
+        CannotConnect, zenoh_config=file(f'mode: "client", connect: {{endpoints: ["{tls}"]}}')
+    )
+
+
+def test_what_does_not_go_together_is_refused(listener, file):
+    config = file('mode: "client"')
+    for make in (MapClient, lambda **how: RobotPublisher("r1", **how)):
+        with pytest.raises(BadSetting, match="zenoh_config: an open session has"):
+            make(zenoh_config=config, session=listener)
+    with pytest.raises(BadSetting, match="zenoh_config: http://h:1 is asked over HTTP"):
+        MapClient("http://h:1", zenoh_config=config)
+
+
+def test_who_does_not_answer_is_named_by_the_file(listener, endpoint, file):
+    config = file(f'mode: "client", connect: {{endpoints: ["{endpoint}"]}}')
+    with (
+        pytest.raises(ClientError, match=f"no mapper of map 'default' answered as {config} says"),
+        MapClient(zenoh_config=config) as client,
+    ):
+        client.status()
