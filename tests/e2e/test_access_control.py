@@ -1,0 +1,336 @@
+"""docker/zenoh's files with certificates made as docs/security.md says: who is let in, and to what.
+
+One mapper for all rows, which come in order: robot1's map, what must not change it, and at last a reset.
+"""
+
+import itertools
+import json
+import re
+import subprocess
+import time
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+import zenoh.ext
+
+from ogm_client import CannotConnect, MapClient, NobodyAnswered, NotHeard, RobotPublisher
+from ogm_client.session import NetworkConfig, open_session, resolve_listen
+
+ROOT = Path(__file__).parents[2]
+CERTIFICATES = re.search(r"```sh\n(mkdir -p certs\n.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
+SWEEP = {"angle_min": -0.5, "angle_increment": 0.25, "range_min": 0.1, "range_max": 30.0}
+MAPPER, OWN = "ogm/v1/default/alive/mapper/evil", "ogm/v1/default"
+
+
+class Site:
+    """A folder with certificates, and the shipped files with its paths, a free port and a name in them."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self._numbers = itertools.count()
+        self.endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+        subprocess.run(["sh", "-euc", CERTIFICATES], cwd=folder, check=True, capture_output=True)
+
+    def mapper(self, edit=lambda text: text, endpoint=None):
+        """mapper.json5, listening on loopback."""
+        text = edit((ROOT / "docker/zenoh/mapper.json5").read_text())
+        assert "tls/0.0.0.0:7447" in text
+        return self._written("mapper", text.replace("tls/0.0.0.0:7447", endpoint or self.endpoint))
+
+    def client(self, name, endpoint=None, edit=lambda text: text):
+        """client.json5 of whoever has that certificate."""
+        text = edit((ROOT / "docker/zenoh/client.json5").read_text())
+        assert text.count("// <--") == len(
+            re.findall(r"(?m)^.*(?:127\.0\.0\.1|certs/robot1\.).*// <--$", text)
+        )
+        text = text.replace("tls/127.0.0.1:7447", endpoint or self.endpoint)
+        return self._written(f"client-{name}", text.replace("certs/robot1.", f"certs/{name}."))
+
+    def _written(self, name, text):
+        path = self.folder / f"{name}-{next(self._numbers)}.json5"
+        path.write_text(text.replace('"certs/', f'"{self.folder}/certs/'))
+        return path
+
+    @contextmanager
+    def session(self, name, **how):
+        with open_session(NetworkConfig(config_file=self.client(name, **how))) as session:
+            yield session
+
+    def robot(self, name, of, **how):
+        """A publisher of robot `name` with the certificate `of`."""
+        return RobotPublisher(name, zenoh_config=self.client(of, **how), wait=False, reliable=True)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return Site(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture(scope="module")
+def mapper(site, module_ogm, lab_recording):
+    """A mapper that has robot1's lap through the lab."""
+    flags = ["--zenoh-config", site.mapper()]
+    mapper = module_ogm.ready(module_ogm.start("mapper", "--http-port", 0, *flags))
+    lap = module_ogm.run("replay", lab_recording, "--speed", "max", "--zenoh-config", site.client("robot1"))
+    assert lap.code == 0, lap
+    assert mapper.status()["scans"]["integrated"] == 220
+    return mapper
+
+
+@pytest.fixture
+def unchanged(mapper):
+    """Asserts that a test has changed nothing of the map, and nothing of what was received."""
+
+    def state():
+        status = mapper.status()
+        counts = [status[name] for name in ("epoch", "revision", "stamp", "scans", "poses", "other")]
+        return counts, list(status["robots"]), mapper.get("map.npz")
+
+    before = state()
+    yield
+    assert state() == before
+
+
+@pytest.fixture
+def looked(mapper, eventually):
+    """`looked()` waits until the mapper has looked for truths and for other mappers twice more."""
+
+    def wait():
+        began = mapper.status()["uptime_s"]
+        eventually(lambda: mapper.status()["uptime_s"] > began + 3.0)
+
+    return wait
+
+
+def no_certificate(text):
+    return re.sub(r".*connect_(certificate|private_key).*\n", "", text)
+
+
+def test_nobody_comes_in_without_a_certificate_of_ours(site, mapper, unchanged):
+    forged = site.folder / "forged"
+    forged.mkdir()
+    subprocess.run(["sh", "-euc", CERTIFICATES], cwd=forged, check=True, capture_output=True)
+
+    def self_signed(text):
+        return re.sub(r'"certs/(robot1\.\w+)"', rf'"{forged}/certs/\1"', text)
+
+    for edit in (no_certificate, self_signed):
+        with pytest.raises(CannotConnect, match="with TLS each side needs a certificate"):
+            site.robot("robot1", of="robot1", edit=edit)
+
+
+def test_a_robot_puts_under_its_own_name_only_and_learns_what_is_denied(site, mapper, unchanged, eventually):
+    """A robot under another's name, a viewer as a robot: both believe that they are heard until they ask."""
+    with ExitStack() as opened:
+        liars = [opened.enter_context(site.robot("robot1", of=name)) for name in ("robot2", "viewer")]
+        stranger = opened.enter_context(site.robot("robot3", of="robot2"))
+        liars[0].wait_for_mapper()  # which says no more than that somebody wants such messages
+
+        def denied(robot):
+            robot.publish_pose(9.0, 9.0, 0.0)
+            robot.publish_scan([1.0] * 5, **SWEEP, pose=(9.0, 9.0, 0.0))
+            try:
+                robot.feedback(timeout=30.0)
+            except NotHeard as error:
+                return error
+            return None
+
+        for robot, known in ((liars[0], True), (liars[1], True), (stranger, False)):
+            error = eventually(lambda robot=robot: denied(robot))
+            assert f"robot {robot.robot!r}: the mapper of map 'default' hears nothing" in str(error)
+            assert "the name that of the certificate" in str(error)
+            assert ("laser" in error.status.sources) is known
+
+
+def test_a_robot_that_is_let_in_is_heard(site, mapper, eventually):
+    before = mapper.status()["scans"]["integrated"]
+    with site.robot("robot2", of="robot2") as robot:
+        robot.wait_for_mapper()
+        began = time.monotonic()
+        count = 0
+        while time.monotonic() < began + 3.5:  # longer than silence is borne
+            robot.publish_scan([1.0] * 5, **SWEEP, pose=(1.0, 1.0, 0.0))
+            count += 1
+            assert robot.feedback(timeout=30.0).sources.keys() <= {"laser"}
+            time.sleep(0.1)
+        eventually(lambda: robot.feedback().sources["laser"].integrated == count)
+        assert mapper.status()["robots"]["robot2"]["alive"]
+    assert mapper.status()["scans"]["integrated"] == before + count
+
+
+def test_what_is_too_long_is_dropped_and_the_next_scan_is_not(site, mapper, eventually):
+    key = f"{OWN}/robots/robot2/scan/laser"
+    before = mapper.status()["scans"]["received"]
+    with site.session("robot2") as session:
+        publisher = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+        eventually(lambda: publisher.matching_status.matching)
+        publisher.put(bytes(5_000_000))
+        publisher.put(b"short")
+        eventually(lambda: mapper.status()["scans"]["received"] == before + 1)
+        assert mapper.status()["robots"]["robot2"]["sources"]["laser"]["dropped"] == {"malformed": 1}
+
+
+def test_strangers_truths_tokens_and_answers_are_not_seen(site, mapper, unchanged, looked):
+    asked = []
+
+    def answer(query):
+        with query:
+            asked.append(str(query.key_expr))
+            query.reply(query.key_expr, b"{}")
+
+    handler = zenoh.handlers.Callback(answer, indirect=False)
+    keys = ["truth", "map", "status", "**", "alive/mapper/evil/0"]
+    with site.session("robot2") as robot, site.session("viewer") as viewer:
+        held = [who.declare_queryable(f"{OWN}/{key}", handler) for who in (robot, viewer) for key in keys]
+        held += [who.liveliness().declare_token(f"{MAPPER}/0") for who in (robot, viewer)]
+        held += [robot.liveliness().declare_token(f"{OWN}/alive/robot/robot1/0")]
+        looked()
+        with MapClient(zenoh_config=site.client("operator"), timeout=30.0) as client:
+            assert client.fetch("map.npz") == mapper.get("map.npz")
+        assert asked == []
+        assert mapper.get("readyz") == b"ok"
+        assert not mapper.status()["robots"]["robot1"]["alive"]
+        quality = json.loads(mapper.get("quality"))
+        assert quality.get("truth") is None
+        assert len(held) == 13
+
+
+def test_viewers_and_robots_read_and_nobody_asks_for_everything(site, mapper, unchanged):
+    for name in ("viewer", "robot1", "operator"):
+        with site.session(name) as session, MapClient(session=session, timeout=30.0) as client:
+            assert client.fetch("map.npz") == mapper.get("map.npz")
+            assert client.status().revision == mapper.status()["revision"]
+            assert client.cell(0.0, 0.0)
+            assert client.quality()
+            for everything in ("ogm/**", f"{OWN}/**", f"{OWN}/*", "**", f"{OWN}/alive/**"):
+                assert list(session.get(everything, timeout=30.0)) == []
+            assert list(session.liveliness().get("ogm/**", timeout=30.0)) == []
+
+
+def test_nobody_overhears_a_robot(site, mapper, eventually):
+    heard = []
+    handler = zenoh.handlers.Callback(heard.append, indirect=False)
+    before = mapper.status()["scans"]["integrated"]
+    with ExitStack() as opened:
+        for name in ("robot2", "viewer", "operator"):
+            session = opened.enter_context(site.session(name))
+            for key in ("**", "ogm/**", f"{OWN}/robots/robot1/**"):
+                opened.push(session.declare_subscriber(key, handler))
+        robot = opened.enter_context(site.robot("robot1", of="robot1"))
+        robot.wait_for_mapper()
+        for _ in range(5):
+            robot.publish_scan([1.0] * 5, **SWEEP, pose=(1.0, 1.0, 0.0))
+        eventually(lambda: mapper.status()["scans"]["integrated"] == before + 5)
+        assert heard == []
+
+
+def test_get_and_status_go_in_with_a_certificate(site, mapper, module_ogm, unchanged):
+    viewer = site.client("viewer")
+    (site.folder / "ogm.yaml").write_text(f"network: {{zenoh_config: {viewer}}}\n")
+    for how in (
+        {"flags": ["--zenoh-config", viewer]},
+        {"flags": ["--config", site.folder / "ogm.yaml"]},
+        {"environ": {"OGM_NETWORK__ZENOH_CONFIG": str(viewer)}},
+        {
+            "flags": [
+                "--zenoh-config",
+                site.client("viewer", endpoint="tls/127.0.0.1:1"),
+                "--url",
+                site.endpoint,
+            ]
+        },
+    ):
+        flags, environ = how.get("flags", []), how.get("environ", {})
+        status = module_ogm.call("status", "--json", *flags, **environ)
+        assert status.code == 0, status
+        assert json.loads(status.out)["revision"] == mapper.status()["revision"]
+        got = module_ogm.call("get", "map.npz", *flags, **environ)
+        assert (got.code, got.out, got.err) == (0, "map.npz\n", "")
+        assert (module_ogm.folder / "map.npz").read_bytes() == mapper.get("map.npz")
+    other = module_ogm.call("status", "--zenoh-config", site.client("viewer", edit=no_certificate))
+    assert "with TLS each side needs a certificate" in other.complaint(1)
+
+
+def test_only_the_operator_resets(site, mapper):
+    def reset(name):
+        with MapClient(zenoh_config=site.client(name), timeout=30.0) as client:
+            client.reset()
+
+    before = mapper.status()["epoch"], mapper.get("map.npz")
+    for name in ("robot1", "viewer"):
+        with pytest.raises(NobodyAnswered):
+            reset(name)
+    assert (mapper.status()["epoch"], mapper.get("map.npz")) == before
+    reset("operator")
+    assert mapper.status()["epoch"] != before[0]
+    assert mapper.status()["map_info"]["known_cells"] == 0
+
+
+def test_a_robot_answers_from_its_own_cache_and_from_no_other(site, eventually):
+    """With the mapper's file one gets what robot1 had put before one asked, and nothing in its name."""
+    endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+    key, got = f"{OWN}/robots/robot1/pose", []
+    cache = {
+        "cache": zenoh.ext.CacheConfig(max_samples=100),
+        "sample_miss_detection": zenoh.ext.MissDetectionConfig(sporadic_heartbeat=0.5),
+        "publisher_detection": True,
+    }
+    with ExitStack() as opened:
+        listener = opened.enter_context(zenoh.open(zenoh.Config.from_file(site.mapper(endpoint=endpoint))))
+        robots = {
+            name: zenoh.ext.declare_advanced_publisher(
+                opened.enter_context(site.session(name, endpoint=endpoint)), key, **cache
+            )
+            for name in ("robot1", "robot2")
+        }
+        for name, publisher in robots.items():
+            for k in range(5):
+                publisher.put(f"{name}: {k}")
+        subscriber = zenoh.ext.declare_advanced_subscriber(
+            listener,
+            f"{OWN}/robots/**",
+            zenoh.handlers.Callback(lambda sample: got.append(sample.payload.to_string()), indirect=False),
+            history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+        )
+        eventually(lambda: len(got) >= 5)
+        robots["robot1"].put("robot1: live")
+        eventually(lambda: "robot1: live" in got)
+        assert sorted(got) == sorted([*(f"robot1: {k}" for k in range(5)), "robot1: live"])
+        subscriber.undeclare()
+
+
+def test_a_router_with_the_same_rules_stands_between(site, ogm, eventually):
+    """As docs/security.md says: another mode, no `rx`; the mapper is a client with a certificate."""
+
+    def of_router(text):
+        assert 'mode: "peer"' in text
+        return re.sub(r"\n *rx: .*", "", text.replace('mode: "peer"', 'mode: "router"'))
+
+    endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+    with zenoh.open(zenoh.Config.from_file(site.mapper(of_router, endpoint))):
+        config = site.client("mapper", endpoint=endpoint)
+        mapper = ogm.ready(ogm.start("mapper", "--http-port", 0, "--zenoh-config", config))
+        with (
+            site.robot("robot1", of="robot1", endpoint=endpoint) as robot,
+            site.robot("robot1", of="robot2", endpoint=endpoint) as liar,
+        ):
+            for publisher in (robot, liar):
+                publisher.wait_for_mapper()
+            for k in range(5):
+                liar.publish_scan([9.0] * 5, **SWEEP, pose=(5.0, 5.0, 0.0))
+                robot.publish_scan([1.0] * 5, **SWEEP, pose=(0.1 * k, 0.0, 0.0))
+            eventually(lambda: mapper.status()["scans"]["integrated"] == 5)
+            assert mapper.status()["scans"]["received"] == 5
+            assert robot.feedback(timeout=30.0).sources["laser"].run == robot.run
+        with MapClient(zenoh_config=site.client("viewer", endpoint=endpoint), timeout=30.0) as viewer:
+            assert viewer.get_map().known.any()
+            with pytest.raises(NobodyAnswered):
+                viewer.reset()
+        before = mapper.status()["epoch"]
+        with MapClient(zenoh_config=site.client("operator", endpoint=endpoint), timeout=30.0) as operator:
+            operator.reset()
+        assert mapper.status()["epoch"] != before
+        second = ogm.start("mapper", "--http-port", 0, "--zenoh-config", config)
+        assert "another mapper of map 'default' is alive" in second.wait().complaint(1)
