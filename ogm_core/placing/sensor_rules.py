@@ -68,10 +68,11 @@ class SensorRules:
         Raises:
             BadMessage: what the rules say contradicts what the scan says.
         """
-        rule = self._rule_of(source)
+        rule = self.rule_of(source)
         return scan if rule is None else _read(scan, rule)
 
-    def _rule_of(self, source: str) -> SensorRule | None:
+    def rule_of(self, source: str) -> SensorRule | None:
+        """What holds for a source's scans, all rules together; None if no rule matches it."""
         if source in self._of:
             return self._of[source]
         if len(self._of) >= MAX_SOURCES:

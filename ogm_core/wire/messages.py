@@ -109,6 +109,24 @@ def decode_scan(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
     return scan
 
 
+def glance(payload: bytes) -> tuple[Ranges, float, float, float] | None:
+    """What a scan message says of its size, unchecked: ranges, angle_increment, range_min, range_max.
+
+    None if it is none, so that `decode_scan` will not read it either.
+    """
+    try:
+        fields = _unpack(payload)
+        ranges = np.frombuffer(fields["ranges"], "<f4")
+        return (
+            ranges,
+            float(fields["angle_increment"]),
+            float(fields["range_min"]),
+            float(fields["range_max"]),
+        )
+    except (BadMessage, KeyError, TypeError, ValueError, OverflowError):
+        return None
+
+
 def pose_from_fields(fields: Fields) -> PoseStamped:
     """Check a pose message's fields.
 

@@ -58,6 +58,9 @@ def stream(mapper, stop):
     """Put scans of a wall 2 m ahead, each from the middle of the next cell of 0.5 m."""
     sent = 0
     while not stop.wait(0.001):
+        if sent % 100 == 0:  # no more than the queue takes, however slow the machine is
+            while mapper.status()["scans"]["pending"] > 100 and not stop.wait(0.01):
+                pass
         mapper.scan([2.0], pose=[0.25 + 0.5 * sent, 0.25, 0.0], run="stream", seq=sent, at=sent)
         sent += 1
     return sent

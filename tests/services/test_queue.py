@@ -83,18 +83,18 @@ def test_an_item_comes_as_it_was_put():
     assert called == [1]
 
 
-def test_overload_drops_the_oldest_scan_of_the_fullest_source():
+def test_overload_drops_the_oldest_scan_of_the_fullest_robot():
     queue = ScanQueue(4)
     assert put_all(queue, (A, "a1"), (B, "b1"), (B, "b2"), (B, "b3")) == [[]] * 4
     assert put_all(queue, (A, "a2"), (B, "b4")) == [[B], [B]]
     assert drain(queue) == ["a1", "b3", "a2", "b4"]
 
 
-def test_sensors_of_one_robot_are_sources_of_their_own():
+def test_a_robot_loses_its_oldest_scan_whichever_sensor_took_it():
     queue = ScanQueue(5)
-    put_all(queue, (A, "a1"), (C, "c1"), (C, "c2"), (C, "c3"), (B, "b1"))
-    assert put_all(queue, (A, "a2")) == [[C]]
-    assert drain(queue) == ["a1", "c2", "c3", "b1", "a2"]
+    put_all(queue, (A, "a1"), (C, "c1"), (B, "b1"), (B, "b2"), (C, "c2"))
+    assert put_all(queue, (B, "b3"), (B, "b4")) == [[A], [B]]
+    assert drain(queue) == ["c1", "b2", "c2", "b3", "b4"]
 
 
 def test_a_lone_source_keeps_its_newest_scans():

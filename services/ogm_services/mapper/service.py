@@ -23,7 +23,9 @@ from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.quality.figures import hints_by
 from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import ScanQueue
+from ogm_services.mapper.intake.work import ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.live.live_map import LiveMap
@@ -129,7 +131,8 @@ class MapperService:
         self._settings = settings
         self._grid_settings = grid.settings
         self.live_map = LiveMap(grid)
-        receipts, queue = Receipts(), ScanQueue(limits.queue)
+        sizes = ScanSizes(grid.settings, SensorRules(settings.sensor_rules()))
+        receipts, queue = Receipts(), ScanQueue(limits.queue, sizes.cells)
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
         self._metrics = Metrics()
@@ -140,8 +143,12 @@ class MapperService:
             integrated=measured.scan_integrated,
         )
         self._queue, self._receipts, self._placer = queue, receipts, placer
+        self._overload = Overload(queue, receipts)
         self._worker = Worker(
-            queue, placer, receipts, max_beams=limits.max_beams, sensors=SensorRules(settings.sensor_rules())
+            *(queue, placer, receipts),
+            max_beams=limits.max_beams,
+            overload=self._overload,
+            sensors=SensorRules(settings.sensor_rules()),
         )
         self._monitor = Monitor(self.live_map)
         falling_behind = FallingBehind(lambda: float(getattr(queue, "work", 0.0)), MAX_WORK)
@@ -228,6 +235,7 @@ class MapperService:
         subscriber = ZenohSubscriber(
             *(session, keys, self._queue, self._receipts, self._placer),
             max_beams=self._settings.mapper.max_beams,
+            overload=self._overload,
         )
         opening.callback(subscriber.close)
         others.claim()

@@ -1,16 +1,31 @@
-"""Bounded queue of messages between Zenoh's callback and the worker."""
+"""Bounded queue of messages between Zenoh's callback and the worker, fair to robots."""
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
 
 from ogm_core.wire.keys import Source
+from ogm_services.mapper.intake.largest import Largest
+from ogm_services.mapper.intake.work import CellRate
 
 MAX_BYTES = 256 * 1024**2
 """Payload that may wait, whatever the number of scans."""
+MAX_WORK = 5.0
+"""Work that may wait, by what the cells of each robot's scans have taken so far, s."""
 MAX_POSES = 100_000
 """Poses are never dropped: past this many waiting, or MAX_BYTES of them, their sender is made to wait."""
+MAX_POSES_OF_ROBOT = 10_000
+"""The same for those of one robot: whoever floods waits for room of its own."""
+BEHIND = 0.25
+"""Once a message has waited for so long, s, it is looked at how large the scans are that wait."""
+LOOKS = 64
+"""So many scans, or LOOKS_BYTES of them, are looked at in one go."""
+LOOKS_BYTES = 4 * 1024**2
+MAX_ROBOTS = 2000
+"""Robots whose rates are remembered; one that is forgotten is measured anew."""
 
 
 @dataclass(slots=True, eq=False)
@@ -22,76 +37,155 @@ class Message:
     arrival: float
     """When it came, s of the monotonic clock."""
     command: Callable[[], None] | None = None
+    cells: float | None = None
+    """How many cells' time a scan will take, more than 0; None as long as nobody has looked."""
+    robot: str | None = None
+    """Whose command it is: it takes the room of one of that robot's poses, and like them is never dropped."""
     dropped: bool = False
 
+    @property
+    def is_scan(self) -> bool:
+        """Whether it is one of those that may be dropped."""
+        return self.source is not None and self.source.sensor is not None
 
-@dataclass(slots=True)
-class _Load:
-    scans: dict[Source, deque[Message]] = field(default_factory=dict)
-    """Waiting scans by source, oldest first."""
-    count: int = 0
+    @property
+    def sender(self) -> str | None:
+        """Whose message or command it is; None of the mapper's own commands."""
+        return self.robot if self.source is None else self.source.robot
+
+
+@dataclass(slots=True, eq=False)
+class _Robot:
+    scans: deque[Message] = field(default_factory=deque)
+    """Of all its sensors, oldest first."""
+    cells: float = 0.0
     size: int = 0
     poses: int = 0
-    pose_size: int = 0
+    rate: CellRate = field(default_factory=CellRate)
+    posing: float = 0.0
+    """How long its poses have taken since its last scan, s: they make scans ready that came before."""
 
-    def add_scan(self, source: Source, item: Message) -> None:
-        queue = self.scans.get(source)
-        if queue is None:
-            queue = self.scans[source] = deque()
-        queue.append(item)
-        self.count += 1
-        self.size += len(item.payload)
-
-    def takes_poses(self) -> bool:
-        return self.poses < MAX_POSES and self.pose_size < MAX_BYTES
+    @property
+    def work(self) -> float:
+        return self.cells * self.rate.value
 
 
 class ScanQueue:
-    """Messages in order of arrival. Callbacks put, one worker takes.
+    """Messages in order of arrival. Callbacks put, one worker takes, and says how long each has taken.
 
-    When it is full, the oldest scan of the source with the most waiting scans goes.
+    Past a bound the robot with the largest share of the queue loses its oldest scan, however many sensors it
+    names. Its share is that of the work, the bytes or the scans that may wait, whichever is largest (dominant
+    resource fairness, Ghodsi et al. 2011): a robot of few large scans loses none to many small ones.
+
+    `cells_of` tells how large a scan is. A queue that is worked off as it comes does not ask.
     """
 
-    def __init__(self, max_scans: int) -> None:
+    def __init__(self, max_scans: int, cells_of: Callable[[Source, bytes], float] | None = None) -> None:
         self._max_scans = max_scans
-        self._changed = threading.Condition()
+        self._cells_of = cells_of or (lambda *_: 1.0)
+        self._unseen: deque[Message] = deque()
+        """Waiting scans whose size nobody has looked at, and maybe dropped ones; oldest first."""
+        self._behind = False
+        self._lock = threading.Lock()
+        self._came = threading.Condition(self._lock)
+        self._room = threading.Condition(self._lock)
         self._items: deque[Message] = deque()
-        self._load = _Load()
+        self._robots: dict[str, _Robot] = {}
+        self._scans = 0
+        self._work = 0.0
+        self._size = 0
+        self._poses = 0
+        self._pose_size = 0
+        self._largest: Largest | None = None
+        """By share, while the queue is full or was a moment ago."""
         self._closed = False
+
+    @property
+    def bytes(self) -> int:
+        """Payload of the scans and poses that wait."""
+        return self._size + self._pose_size
+
+    @property
+    def work(self) -> float:
+        """How long the scans that wait will take, about, s."""
+        return self._work
+
+    @property
+    def behind(self) -> bool:
+        """Whether messages wait for so long that it matters whose they are, and how long they take."""
+        return self._behind
+
+    @property
+    def scans(self) -> int:
+        """How many scans wait."""
+        return self._scans
 
     def put(self, item: Message) -> list[Source]:
         """Append a message; return the source of every scan that had to go for it."""
-        with self._changed:
-            load = self._load
-            if item.source is not None and item.source.sensor is None:
-                self._changed.wait_for(lambda: load.takes_poses() or self._closed)
-                load.poses += 1
-                load.pose_size += len(item.payload)
-            elif item.source is not None:
-                load.add_scan(item.source, item)
+        with self._lock:
+            name = item.sender
+            gone: list[Source] = []
+            if name is not None and not item.is_scan:
+                self._wait_for_room(name)
+                self._count_pose(name, item, 1)
             self._items.append(item)
-            gone = []
-            while load.count > self._max_scans or (load.size > MAX_BYTES and load.count > 1):
-                gone.append(self._drop_oldest())
-            self._changed.notify_all()
+            if name is not None and item.is_scan:
+                self._count_scan(name, item, 1)
+                self._robots[name].scans.append(item)
+                if item.cells is None:
+                    self._unseen.append(item)
+                gone = self._make_room(name)
+            self._came.notify()
             return gone
 
     def take(self, timeout: float | None) -> Message | None:
         """The oldest message; None if none came within `timeout` seconds, or the queue is closed."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._skip_dropped() or self._closed, timeout)
+        with self._lock:
+            if not self._skip_dropped():
+                self._came.wait_for(lambda: self._skip_dropped() or self._closed, timeout)
             if self._closed or not self._items:
                 return None
             item = self._items.popleft()
-            self._forget(item)
-            self._changed.notify_all()
+            self._behind = time.monotonic() - item.arrival > BEHIND
+            name = item.sender
+            if item.is_scan and name is not None:
+                self._robots[name].scans.popleft()
+                self._count_scan(name, item, -1)
+                while item.cells is None and self._unseen.popleft() is not item:
+                    pass  # one that was dropped
+                if self._largest is not None and not self._past(0.5):
+                    self._largest = None
+            elif name is not None:
+                self._count_pose(name, item, -1)
+                self._room.notify_all()
             return item
+
+    def worked(self, item: Message, seconds: float) -> list[Source]:
+        """Learn how long a message took, s; return the source of every scan that has to go for it.
+
+        It need not be told while the queue is not `behind`.
+        """
+        name = item.sender
+        if name is None:
+            return []
+        with self._lock:
+            robot = self._robot(name)
+            if item.source is None or item.source.sensor is None:
+                robot.posing += seconds
+                return []
+            before = robot.work
+            cells = self._cells_of(item.source, item.payload) if item.cells is None else item.cells
+            robot.rate.measured(cells, seconds + robot.posing)
+            robot.posing = 0.0
+            self._work += robot.work - before
+            return self._make_room(name)
 
     def close(self) -> None:
         """Let everyone who waits go on; nothing is taken any more."""
-        with self._changed:
+        with self._lock:
             self._closed = True
-            self._changed.notify_all()
+            self._came.notify_all()
+            self._room.notify_all()
 
     @property
     def closed(self) -> bool:
@@ -103,24 +197,94 @@ class ScanQueue:
             self._items.popleft()
         return bool(self._items)
 
-    def _forget(self, item: Message) -> None:
-        load = self._load
-        if item.source is None:
-            return
-        if item.source.sensor is None:
-            load.poses -= 1
-            load.pose_size -= len(item.payload)
-            return
-        queue = load.scans[item.source]
-        queue.popleft()
-        if not queue:
-            del load.scans[item.source]
-        load.count -= 1
-        load.size -= len(item.payload)
+    def _wait_for_room(self, name: str) -> None:
+        def there_is() -> bool:
+            full = self._poses >= MAX_POSES or self._pose_size >= MAX_BYTES
+            return self._closed or not (full or self._robot(name).poses >= MAX_POSES_OF_ROBOT)
 
-    def _drop_oldest(self) -> Source:
-        source, queue = max(self._load.scans.items(), key=lambda entry: len(entry[1]))
-        item = queue[0]
-        self._forget(item)
-        item.dropped, item.payload = True, b""
-        return source
+        if not there_is():
+            self._room.wait_for(there_is)
+
+    def _robot(self, name: str) -> _Robot:
+        robot = self._robots.get(name)
+        if robot is None:
+            if len(self._robots) >= MAX_ROBOTS:
+                self._forget_some()
+            robot = self._robots[name] = _Robot()
+        return robot
+
+    def _forget_some(self) -> None:
+        """Forget those of the first few robots of which nothing waits; the others become the last ones."""
+        for name in list(islice(self._robots, 8)):
+            robot = self._robots.pop(name)
+            if robot.scans or robot.poses:
+                self._robots[name] = robot
+
+    def _count_pose(self, name: str, item: Message, sign: int) -> None:
+        self._robot(name).poses += sign
+        self._poses += sign
+        self._pose_size += sign * len(item.payload)
+
+    def _count_scan(self, name: str, item: Message, sign: int) -> None:
+        robot = self._robot(name)
+        if item.cells is not None:
+            robot.cells += sign * item.cells
+            self._work += sign * item.cells * robot.rate.value
+        robot.size += sign * len(item.payload)
+        self._scans += sign
+        self._size += sign * len(item.payload)
+        if sign < 0 and not robot.scans:  # else what is lost in rounding would add up
+            robot.cells = 0.0
+        if not self._scans:
+            self._work = 0.0
+
+    def _past(self, part: float) -> bool:
+        """Whether more waits than this part of a bound."""
+        return (
+            self._scans > part * self._max_scans
+            or self._size > part * MAX_BYTES
+            or self._work > part * MAX_WORK
+        )
+
+    def _share(self, name: str) -> float:
+        """The part of the bounds that a robot's scans take up."""
+        robot = self._robots.get(name)
+        if robot is None:
+            return 0.0
+        return max(robot.work / MAX_WORK, robot.size / MAX_BYTES, len(robot.scans) / self._max_scans)
+
+    def _look(self) -> None:
+        """Look how large some of the scans are that wait."""
+        size = 0
+        for _ in range(min(LOOKS, len(self._unseen))):
+            item = self._unseen.popleft()
+            if item.dropped or item.source is None:
+                continue
+            item.cells = self._cells_of(item.source, item.payload)
+            name = item.source.robot
+            robot = self._robots[name]
+            robot.cells += item.cells
+            self._work += item.cells * robot.rate.value
+            if self._largest is not None:
+                self._largest.grew(name)
+            size += len(item.payload)
+            if size > LOOKS_BYTES:
+                break
+
+    def _make_room(self, name: str) -> list[Source]:
+        """Drop scans until no bound is passed; one at least stays. `name`: whose share may have grown."""
+        gone: list[Source] = []
+        if self._unseen and (self._behind or self._items[0].arrival < self._unseen[-1].arrival - BEHIND):
+            self._look()
+        if self._largest is not None:
+            self._largest.grew(name)
+        while self._scans > 1 and self._past(1.0):
+            if self._largest is None:
+                self._largest = Largest(self._share, self._robots)
+            loser = self._largest.name()
+            item = self._robots[loser].scans.popleft()
+            self._count_scan(loser, item, -1)
+            item.dropped, item.payload = True, b""
+            assert item.source is not None
+            gone.append(item.source)
+        return gone

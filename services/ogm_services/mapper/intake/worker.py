@@ -12,6 +12,7 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.messages import decode_pose, decode_scan
+from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.replies.answer import Unavailable
 from ogm_services.runtime.limited_log import LimitedLog
@@ -33,11 +34,13 @@ class Worker:
         *,
         max_beams: int,
         sensors: SensorRules | None = None,
+        overload: Overload | None = None,
     ) -> None:
         self._queue = queue
         self._placer = placer
         self._receipts = receipts
         self._max_beams = max_beams
+        self._overload = overload or Overload(queue, receipts)
         self._sensors = sensors or SensorRules()
         self._complaints = LimitedLog(log)
         self._bugs = LimitedLog(log)
@@ -95,7 +98,16 @@ class Worker:
                 with self._surviving("a look for silent robots"):
                     self._placer.expire(now)
             if item is not None:
-                self._work_on(item)
+                self._handle(item)
+
+    def _handle(self, item: Message) -> None:
+        """Work on a message; where others wait, tell the queue how long it took."""
+        if not self._queue.behind:
+            self._work_on(item)
+            return
+        begun = time.monotonic()
+        self._work_on(item)
+        self._overload.note(self._queue.worked(item, time.monotonic() - begun))
 
     def _work_on(self, item: Message) -> None:
         if item.command is not None:

@@ -12,16 +12,12 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
+from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.runtime.limited_log import LimitedLog
 
 MAX_SOURCES = 1000
 """Keys of messages whose sources are remembered; reading one anew does no harm."""
-
-_OVERLOAD = (
-    "the queue is full, its oldest scan is dropped: send fewer scans or beams, or let the map take less time "
-    "for them (reach, clear_range, a larger resolution, sensor_model)"
-)
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +39,7 @@ class ZenohSubscriber:
         placer: ScanPlacer,
         *,
         max_beams: int,
+        overload: Overload | None = None,
     ) -> None:
         self._session = session
         self._placer = placer
@@ -51,6 +48,7 @@ class ZenohSubscriber:
         self._queue = queue
         self._receipts = receipts
         self._max_scan_bytes = max_scan_bytes(max_beams)
+        self._overload = overload or Overload(queue, receipts)
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
 
@@ -77,11 +75,9 @@ class ZenohSubscriber:
             self._receipts.scan_received(source.robot, source.sensor)
         if self._too_long(source, len(sample.payload)):
             return
-        item = Message(source, sample.payload.to_bytes(), time.monotonic())
-        for robot, sensor in self._queue.put(item):
-            if sensor is not None:
-                self._receipts.scan_dropped(robot, sensor, "overload")
-                self._complaints.warning(f"{robot}/{sensor}", _OVERLOAD)
+        dropped = self._queue.put(Message(source, sample.payload.to_bytes(), time.monotonic()))
+        if dropped:
+            self._overload.note(dropped)
 
     def _token_changed(self, sample: zenoh.Sample) -> None:
         """Have the worker told, after the messages that have come, that a robot's run is there or gone."""
@@ -90,7 +86,8 @@ class ZenohSubscriber:
             return
         here = sample.kind == zenoh.SampleKind.PUT
         note = self._placer.robot_here if here else self._placer.robot_gone
-        self._queue.put(Message(None, b"", time.monotonic(), partial(note, found.robot, found.run)))
+        told = partial(note, found.robot, found.run)
+        self._queue.put(Message(None, b"", time.monotonic(), told, robot=found.robot))
 
     def _too_long(self, source: Source, length: int) -> bool:
         """Whether a message cannot be one of its kind, because of its length in bytes; it is counted."""

@@ -13,6 +13,7 @@ from ogm_core.files.map_files import encode_json, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.types import Pose, Scan, Sweep
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.compilation import compiling_until
@@ -26,6 +27,7 @@ def warm_up(settings: GridSettings) -> None:
     small, scan, pose = _small(settings)
     scratch = LiveMap(OccupancyGrid(small))
     scratch.integrate(scan, pose)
+    ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     scratch.info()
     encode_png(scratch.snapshot())
 
