@@ -17,6 +17,7 @@ Traversal = Literal["bresenham", "dda"]
 
 DEFAULT_MAX_CELLS = 100_000_000
 DEFAULT_MAX_BYTES = 2 * 1024**3
+DEFAULT_MAX_SCAN_CELLS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,8 @@ class GridSettings:
     as sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
     (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
     lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. `max_cells` limits
-    the known rectangle, `max_bytes` what the map allocates.
+    the known rectangle, `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the
+    cells along its beams, or, as sectors, those of its area and along its outline, within the bounds or not.
 
     Raises:
         BadSetting: a value is out of range, or the bounds do not fit the resolution or `max_cells`.
@@ -45,6 +47,7 @@ class GridSettings:
     outside: Outside = "clip"
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
+    max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.alpha) and self.alpha >= 0.0):

@@ -239,6 +239,17 @@ def _rounding(n: int, away: float, theta: float, beam: BeamModel, lattice: Latti
 
 
 @njit(cache=True, error_model="numpy")
+def count_cells(ends: NDArray[np.int64], exact: bool) -> int:
+    """How many cells the beams in `ends`, shape (5, N), speak of, as Bresenham's lines or `exact` ones."""
+    cells = 0
+    for k in range(ends.shape[1]):
+        if ends[KIND, k] != SKIPPED:
+            di, dj = abs(ends[IX, k] - ends[IX0, k]), abs(ends[IY, k] - ends[IY0, k])
+            cells += di + dj if exact else max(di, dj)
+    return cells
+
+
+@njit(cache=True, error_model="numpy")
 def drop_outside(ends: NDArray[np.int64], ix: int, iy: int, width: int, height: int) -> tuple[int, int]:
     """Skip the beams whose start or end cell lies outside a rectangle of cells.
 

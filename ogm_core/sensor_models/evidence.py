@@ -7,7 +7,7 @@ than the other kernels, which take microseconds.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
 
@@ -21,8 +21,9 @@ from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
 from ogm_core.sensor_models.area_outline import Rays, fan_of, turned
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.projection import beam_model, project, read_only
+from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.store import TileStore
-from ogm_core.types import PlacedScan
+from ogm_core.types import PlacedScan, Scan
 
 _PROBE = 8
 """Rows at the top, the middle and the bottom of a scan that are looked at first."""
@@ -82,8 +83,8 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     """Read a placed scan as the settings say.
 
     Raises:
-        LimitReached: the sensor or a beam's end is farther away than cells can be addressed, or the scan is
-            larger than any map may be.
+        LimitReached: the sensor or a beam's end is farther away than cells can be addressed, or the scan
+            speaks of more cells than one may, or is larger than any map may be.
         OutsideBounds: every beam that counts leaves bounds that drop such beams.
     """
     if settings.sensor_model == "sector":
@@ -93,6 +94,8 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     ends, lines = project(placed, lattice, settings, exact=exact)
     if bounds is not None and settings.outside == "drop":
         _drop_outside(ends, bounds)
+    if _may_be_too_large(placed.scan, settings):
+        _check_size(beams.count_cells(ends, exact), settings)
     return Evidence(dda, (ends, lines)) if exact else Evidence(bresenham, (ends,))
 
 
@@ -101,6 +104,25 @@ def _drop_outside(ends: NDArray[np.int64], bounds: CellRect) -> None:
     counted, dropped = beams.drop_outside(ends, *bounds)
     if counted and dropped == counted:
         raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
+
+
+def _may_be_too_large(scan: Scan, settings: GridSettings) -> bool:
+    """Whether a scan could speak of more cells than one may, which is seldom; that is known at once."""
+    reach = settings.distances[2] if scan.reach is None else scan.reach
+    longest = 1.5 * min(scan.range_max, reach) / settings.resolution + 2.0
+    cells = scan.ranges.size * longest
+    if settings.sensor_model == "sector":
+        cells += math.pi * longest * longest
+    return bool(cells > settings.max_scan_cells)
+
+
+def _check_size(cells: float, settings: GridSettings) -> None:
+    if cells > settings.max_scan_cells:
+        raise LimitReached(
+            f"a scan that speaks of {cells:.0f} cells is more than "
+            f"max_scan_cells = {settings.max_scan_cells}: "
+            "fewer beams, a shorter reach or a larger resolution make it smaller"
+        )
 
 
 def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
@@ -113,6 +135,9 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
         ends = project(placed, lattice, settings).ends
         _drop_outside(ends, bounds)
         kinds = ends[beams.KIND]
+    if _may_be_too_large(placed.scan, settings):
+        counts = placed.scan.ranges if kinds.size == 0 else np.where(kinds, placed.scan.ranges, np.nan)
+        _check_size(ScanSize(settings, bounded=False).of(replace(placed.scan, ranges=counts)), settings)
     try:
         sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
     except BadParameter as error:

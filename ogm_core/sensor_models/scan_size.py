@@ -12,19 +12,27 @@ from numpy.typing import NDArray
 
 from ogm_core.grid_settings import GridSettings
 from ogm_core.sensor_models.beams import BeamModel, reading
+from ogm_core.sensor_models.projection import read_only
+from ogm_core.types import Scan
 
 
 class ScanSize:
-    """Sizes of scans for one map; what lies beyond its bounds is not counted, as far as that can be told."""
+    """Sizes of scans for one map; `bounded`: what surely lies beyond its bounds is not counted."""
 
-    def __init__(self, settings: GridSettings) -> None:
+    def __init__(self, settings: GridSettings, *, bounded: bool = True) -> None:
         self._sector = settings.sensor_model == "sector"
         self._alpha, self._clear_range, self._reach = settings.distances
         self._resolution = float(settings.resolution)
         bounds = settings.bounds_rect
         self._longest, self._largest = math.inf, math.inf
-        if bounds is not None:
+        if bounds is not None and bounded:
             self._longest, self._largest = float(bounds.width + bounds.height), float(bounds.cells)
+
+    def of(self, scan: Scan) -> float:
+        """How many cells a scan speaks of, about."""
+        near, far = float(scan.range_min), float(scan.range_max)
+        ranges, increment = read_only(scan.ranges), float(scan.angle_increment)
+        return self.cells(ranges, increment, near, far, scan.clear_range, scan.reach)
 
     def cells(
         self,
@@ -65,7 +73,7 @@ def _cells(
     range_min, range_max, alpha, clear_range, reach = distances
     beam = BeamModel(0.0, 0.0, range_min, range_max, alpha, clear_range, reach)
     increment, resolution, longest = lattice
-    along = area = before = 0.0
+    along = area = before = farthest = 0.0
     for k in range(ranges.size):
         r = float(ranges[k])
         if beyond_clears and r > range_max:
@@ -74,4 +82,8 @@ def _cells(
         along += abs(length - before) if sector else length
         area += length * length
         before = length
-    return along, area * min(increment, 2.0 * math.pi) / 2.0 if sector else 0.0
+        farthest = max(farthest, length)
+    if not sector:
+        return along, 0.0
+    circle = math.pi * farthest * farthest  # which more than a turn does not leave
+    return along, min(area * increment / 2.0, circle)

@@ -293,3 +293,63 @@ def test_a_system_without_memory_is_a_limit(monkeypatch):
     grid.integrate(scan_of([1.0]), ORIGIN)
     monkeypatch.setattr(grid_module, "observe", fail)
     refuses(grid, scan_of([1.0]), ORIGIN)
+
+
+def fan(metres, beams=10):
+    """Beams along +x, so that each is so many cells long."""
+    return scan_of([metres] * beams, angle_increment=1e-9)
+
+
+@pytest.mark.parametrize("traversal", ["bresenham", "dda"])
+def test_a_scan_may_speak_of_max_scan_cells_and_no_more(traversal):
+    grid = grid_of(traversal=traversal, max_scan_cells=500)
+    assert grid.integrate(fan(5.0), ORIGIN) == 500
+    refuses(grid, fan(5.1), ORIGIN)
+    refuses(grid, fan(5.0, 11), ORIGIN)
+    refuses(grid, scan_of([math.inf] * 10, range_max=5.1, angle_increment=1e-9), ORIGIN)
+    assert grid.integrate(scan_of([math.nan] * 10 + [5.0] * 10, angle_increment=1e-9), ORIGIN) == 500
+    with pytest.raises(
+        LimitReached, match=r"^a scan that speaks of 510 cells is more than max_scan_cells = 500: "
+    ):
+        grid.integrate(fan(5.1), ORIGIN)
+
+
+def test_a_slanted_beam_speaks_of_the_cells_that_it_updates():
+    slanted = scan_of([5.0 * math.sqrt(2.0)] * 10, angle_min=math.pi / 4, angle_increment=1e-9)
+    assert grid_of(max_scan_cells=500).integrate(slanted, ORIGIN) == 500
+    refuses(grid_of(max_scan_cells=499), slanted, ORIGIN)
+
+
+@pytest.mark.parametrize("sensor_model", ["beam", "sector"])
+def test_what_is_clipped_counts_and_what_is_dropped_does_not(sensor_model):
+    bounds = {"bounds": Region(0.0, 0.0, 2.0, 2.0), "sensor_model": sensor_model, "max_scan_cells": 2000}
+    scan = scan_of([100.0, 100.0, 100.0, 1.0], angle_increment=0.2)
+    pose = Pose(0.55, 1.05, EAST)
+    refuses(grid_of(**bounds), scan, pose)
+    assert grid_of(outside="drop", **bounds).integrate(scan, pose) > 0
+    assert grid_of(**bounds).integrate(scan_of([1.0, 1.0, 1.0], angle_increment=0.2), pose) > 0
+
+
+def test_sectors_speak_of_their_area():
+    metres, beams = 10.0, 360
+    area = math.pi * (metres + 0.1) ** 2 / 0.1**2  # up to the far side of the wall
+    circle = scan_of([metres] * beams, angle_increment=math.tau / beams)
+    grid = grid_of(sensor_model="sector", max_scan_cells=round(1.02 * area))
+    assert grid.integrate(circle, ORIGIN) == pytest.approx(area, rel=0.02)
+    refuses(grid_of(sensor_model="sector", max_scan_cells=round(0.96 * area)), circle, ORIGIN)
+    # No cell is spoken of twice, however often the beams go round.
+    turns = scan_of([metres] * beams * 5, angle_increment=math.tau / beams)
+    assert grid.integrate(turns, ORIGIN) == pytest.approx(area, rel=0.02)
+
+
+def test_sectors_speak_of_their_outline_which_takes_time_too():
+    zigzag = scan_of([0.3, 50.0] * 5000, angle_increment=1e-5)
+    area = 0.1 / 2 * 50.0**2 / 0.1**2
+    assert area < 20_000
+    refuses(grid_of(sensor_model="sector", max_scan_cells=1_000_000), zigzag, ORIGIN)
+
+
+def test_by_default_a_scan_may_speak_of_a_thousand_million_cells():
+    grid = grid_of(bounds=Region(0.0, 0.0, 10.0, 10.0))
+    refuses(grid, scan_of([999.0] * 100_200, range_max=1000.0, angle_increment=1e-9), ORIGIN)
+    assert grid.integrate(scan_of([999.0] * 100_000, range_max=1000.0, angle_increment=1e-9), ORIGIN) > 0

@@ -39,6 +39,7 @@ def test_defaults_are_those_of_the_core(load):
     limits = settings.mapper
     assert (limits.max_cells, limits.max_bytes) == (10**8, 2 * 1024**3)
     assert limits.max_memory == 2 * limits.max_bytes + 1024**3
+    assert limits.max_scan_cells == 10**9
     assert (limits.max_beams, limits.pose_wait, limits.queue) == (200_000, 2.0, 4096)
     assert (limits.start_map, limits.start_confidence) == (None, 0.9)
 
@@ -176,6 +177,7 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("http.port", "65536", "less than or equal to 65535"),
         ("http.port", "-1", "greater than or equal to 0"),
         ("mapper.max_beams", "0", "greater than or equal to 1"),
+        ("mapper.max_scan_cells", "0", "greater than or equal to 1"),
         ("mapper.max_memory", "0", "greater than or equal to 1"),
         ("mapper.max_cells", "1.5e0", "valid integer"),
         ("mapper.pose_wait", "-1", "greater than or equal to 0"),

@@ -21,6 +21,7 @@ from ogm_core.files.strict_yaml import dump_yaml
 from ogm_core.grid_settings import (
     DEFAULT_MAX_BYTES,
     DEFAULT_MAX_CELLS,
+    DEFAULT_MAX_SCAN_CELLS,
     CellModelName,
     GridSettings,
     Outside,
@@ -138,7 +139,8 @@ class MapperSettings(_Section):
     """The mapper's limits, and what its map starts with.
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_memory` of all that robots
-    and readers make it hold, `max_beams` of one scan, `queue` in scans.
+    and readers make it hold, `max_beams` and
+    `max_scan_cells` of one scan, `queue` in scans.
     `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
     `PlacingRules`. `start_map` is the YAML file of a ROS map, or a map.npz; a relative path starts at the
     working folder; `start_confidence` the probability that a ROS map's occupied cells are occupied, and its
@@ -149,6 +151,7 @@ class MapperSettings(_Section):
     max_bytes: Count = DEFAULT_MAX_BYTES
     max_memory: Count = DEFAULT_MAX_MEMORY
     max_beams: Count = 200_000
+    max_scan_cells: Count = DEFAULT_MAX_SCAN_CELLS
     pose_wait: NotNegative = DEFAULT_RULES.pose_wait
     pose_gap: Positive = DEFAULT_RULES.pose_gap
     max_speed: PositiveOrInfinite = DEFAULT_RULES.max_speed
@@ -205,6 +208,7 @@ class Settings(BaseModel):
             outside=self.map.outside,
             max_cells=self.mapper.max_cells,
             max_bytes=self.mapper.max_bytes,
+            max_scan_cells=self.mapper.max_scan_cells,
         )
 
     def placing_rules(self) -> PlacingRules:
