@@ -3,6 +3,7 @@
 import hashlib
 import re
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 
 from ogm_core.logs.recordings import RecordedScan, write_jsonl
-from ogm_core.types import IDENTITY, Scan
-from ogm_services.commands import replay
+from ogm_core.types import IDENTITY, Pose, Scan
+from ogm_core.wire.keys import Source
+from ogm_services.commands import on_the_way, replay
+from ogm_services.commands.on_the_way import OnTheWay, Size
 from ogm_services.commands.replay import ReplayFailed, run_replay
 from ogm_services.settings.settings import NetworkSettings
 
@@ -92,3 +95,87 @@ def test_a_recorded_run_gets_a_fresh_name_no_longer_than_a_name_may_be(mapper, t
         assert [source["last_seq"] for source in sources.values()] == [0, 5, 5, 5, 5, 5]
         seen |= set(runs)
     assert len(seen) == 12
+
+
+def heavy_log(path, *, robots, scans, beams, metres):
+    """A log in which robots take turns with scans of many long beams."""
+    ranges = np.full(beams, metres, np.float32)
+    fields = {"angle_min": 0.0, "angle_increment": 1e-3, "range_min": 0.0, "range_max": 1000.0}
+    recorded = (
+        RecordedScan(f"r{robot}", "laser", Scan(k, ranges=ranges, pose=Pose(5.0, 5.0, 0.1), **fields))
+        for k in range(scans)
+        for robot in range(robots)
+    )
+    write_jsonl(path, recorded)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("robots", "scans", "beams", "metres"),
+    [(100, 50, 4, 1.0), (100, 2, 1000, 900.0), (2, 40, 5000, 900.0)],
+    ids=["many", "many and heavy", "heavier"],
+)
+def test_as_fast_as_it_goes_it_never_fills_the_queue(
+    start_mapper, tmp_path, capsys, robots, scans, beams, metres
+):
+    log = heavy_log(tmp_path / "log.jsonl", robots=robots, scans=scans, beams=beams, metres=metres)
+    bounds = [0.0, 0.0, 10.0, 10.0]
+    waited = []
+    with start_mapper(map={"resolution": 0.05, "bounds": bounds}) as mapper:
+        # A slow machine: nothing is taken for a moment, again and again.
+        integrate = mapper.service.live_map.integrate
+
+        def slowly(*placed):
+            waited.append((mapper.service._queue.scans, mapper.service._queue.bytes))
+            if len(waited) % 500 == 1:
+                time.sleep(0.3)
+            return integrate(*placed)
+
+        mapper.service.live_map.integrate = slowly
+        replay_into(mapper, log)
+        status = mapper.status()
+    assert capsys.readouterr().out.endswith(f"{robots * scans} scans sent, {robots * scans} integrated\n")
+    assert status["scans"]["dropped"]["overload"] == 0
+    most_scans, most_bytes = (max(values) for values in zip(*waited, strict=True))
+    assert most_scans <= on_the_way.MAX_SCANS
+    assert most_bytes <= on_the_way.MAX_BYTES + on_the_way.MAX_SCANS * 300  # and what is around the ranges
+    cells = on_the_way.size_of(
+        Scan(0, 0.0, 1e-3, 0.0, 1000.0, np.full(beams, metres, np.float32)), 0.05
+    ).cells
+    assert most_scans <= max(1, on_the_way.MAX_CELLS / cells)
+
+
+def test_a_share_is_given_back_as_scans_are_taken():
+    way, size = OnTheWay(), Size(on_the_way.MAX_BYTES // 4, 1.0)
+    a, b = Source("a", "s"), Source("b", "s")
+    for seq in range(4):
+        assert way.room_for(a, size)
+        way.add(a, "run", seq, size)
+    assert not way.room_for(b, size)
+    way.taken(a, "run", 17)
+    assert not way.room_for(b, size)
+    way.taken(a, "run", 1)
+    assert way.room_for(b, size)
+    assert way.room_for(b, size, 0.75)
+    assert not way.room_for(b, size, 0.5)
+    way.none_waits(a)
+    assert (way.scans, way.size, way.cells) == (0, 0, 0.0)
+    way.taken(a, "run", 3)
+    assert (way.scans, way.size, way.cells, len(way.sent[a])) == (0, 0, 0.0, 0)
+    for seq in range(4, 4 + on_the_way.MAX_AHEAD):
+        assert way.room_for(a, Size(1, 1.0))
+        way.add(a, "run", seq, Size(1, 1.0))
+    assert not way.room_for(a, Size(1, 1.0))
+    way.none_waits(a)
+    assert not way.room_for(a, Size(1, 1.0))  # it is never more than that ahead of what is taken
+    assert way.room_for(b, Size(1, 1.0))
+    giant = Size(2 * on_the_way.MAX_BYTES, 1.0)
+    assert way.room_for(b, giant)  # alone
+    way.add(b, "run", 0, Size(1, 1.0))
+    assert not way.room_for(b, giant)
+    assert not way.room_for(b, Size(1, on_the_way.MAX_CELLS))
+
+
+def test_a_size_is_that_of_beams_and_of_sectors():
+    scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([1.0, np.inf, np.nan, -1.0], np.float32))
+    assert on_the_way.size_of(scan, 0.5) == (16, pytest.approx(34.0 + 0.05 * (4.0 + 256.0 + 256.0)))

@@ -3,10 +3,10 @@
 import hashlib
 import time
 import uuid
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,13 +20,14 @@ from ogm_core.errors import OgmError
 from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
 from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import MAX_NAME, Source
+from ogm_services.commands.on_the_way import OnTheWay, size_of
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import NetworkSettings
 
-MAX_AHEAD = 64
-"""Scans of one source that may be sent beyond the last that the mapper has taken."""
-ASK_FROM = MAX_AHEAD // 2
-"""From so many on the mapper is asked how far it is, so that the way never runs dry."""
+ASK_FROM = 0.5
+"""From this part of our share on the mapper is asked how far it is, so that the way never runs dry."""
+ASK_EVERY = 16
+"""Scans that are sent before it is asked again: its answer is long if there are many robots."""
 LONGEST_PAUSE = 10.0
 """Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
 PATIENCE = 10.0
@@ -46,21 +47,6 @@ class ReplayFailed(OgmError):
     """Scans of the log were lost, or the mapper stopped taking them."""
 
     slug = "replay-failed"
-
-
-@dataclass
-class _Sent:
-    """What was sent of one source's scans."""
-
-    total: int = 0
-    ahead: deque[tuple[str, int]] = field(default_factory=deque)
-    """(run, seq) of the scans that the mapper has not taken yet, as far as known."""
-
-    def taken(self, run: str, seq: int | None) -> None:
-        """Forget everything up to a scan that the mapper says it has taken."""
-        if (run, seq) in self.ahead:
-            while self.ahead.popleft() != (run, seq):
-                pass
 
 
 def run_replay(
@@ -107,11 +93,14 @@ class _Replay:
         self._run = uuid.uuid4().hex[:_FRESH]
         self._robots: dict[str, RobotPublisher] = {}
         self._seqs: Counter[Source] = Counter()
-        self._sent: dict[Source, _Sent] = {}
+        self._sent: Counter[Source] = Counter()
+        self._on_the_way = OnTheWay()
+        self._unasked = 0
+        """Scans that were sent since the mapper was asked."""
         self._before = self._status = self._client.status()
 
     def publish(self, recorded: Recorded) -> None:
-        """Send a message under a fresh run; wait first if too many scans of its source are on their way."""
+        """Send a message under a fresh run; wait first if as many scans as our share are on their way."""
         publisher = self._publisher(recorded.robot)
         if isinstance(recorded, RecordedPose):
             source = Source(recorded.robot, None)
@@ -119,20 +108,22 @@ class _Replay:
             publisher.put_pose(replace(recorded.message, run=run, seq=seq))
             return
         source = Source(recorded.robot, recorded.sensor)
-        sent = self._sent.setdefault(source, _Sent())
-        if len(sent.ahead) >= ASK_FROM:
+        way, size = self._on_the_way, size_of(recorded.message, self._status.map_info.resolution)
+        if self._unasked >= ASK_EVERY and not way.room_for(source, size, ASK_FROM):
             self._follow()
-            self._patiently(lambda: len(sent.ahead) < MAX_AHEAD, "taking scans")
+        if not way.room_for(source, size):
+            self._patiently(lambda: way.room_for(source, size), "taking scans")
         run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
         publisher.put_scan(recorded.sensor, replace(recorded.message, run=run, seq=seq))
-        sent.ahead.append((run, seq))
-        sent.total += 1
+        way.add(source, run, seq, size)
+        self._sent[source] += 1
+        self._unasked += 1
 
     def finish(self) -> str:
         """Wait until the mapper has handled every scan; say what became of them."""
 
         def received() -> bool:
-            return all(self._since(source, "received") >= sent.total for source, sent in self._sent.items())
+            return all(self._since(source, "received") >= sent for source, sent in self._sent.items())
 
         def handled() -> bool:
             return all(_status_of(self._status, source).pending == 0 for source in self._sent)
@@ -146,7 +137,7 @@ class _Replay:
         return self._report()
 
     def _report(self) -> str:
-        total = sum(sent.total for sent in self._sent.values())
+        total = self._sent.total()
         missing = total - sum(self._since(source, "received") for source in self._sent)
         parts = [f"{total} scans sent", f"{self._integrated()} integrated"]
         parts += [f"{count} dropped: {reason}" for reason, count in self._dropped().items()]
@@ -169,10 +160,12 @@ class _Replay:
 
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
-        self._status = self._client.status()
-        for source, sent in self._sent.items():
+        self._status, self._unasked = self._client.status(), 0
+        for source, total in self._sent.items():
             status = _status_of(self._status, source)
-            sent.taken(status.run, status.last_seq)
+            self._on_the_way.taken(source, status.run, status.last_seq)
+            if not status.pending and self._since(source, "received") >= total:
+                self._on_the_way.none_waits(source)
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
         """Poll until `reached`; give up when what it says of our sources stands still for too long, s."""
