@@ -47,7 +47,12 @@ class Desk:
         self.log = LimitedLog(logging.getLogger(__name__))
         self.complaints = []
         """(source, kind, text), as they were made."""
-        self.placer = ScanPlacer(self.sink, self.receipts, self.complain, PlacingRules(**rules))
+        self.arrivals = []
+        """When the scans came that were integrated, s."""
+        self.placer = ScanPlacer(
+            *(self.sink, self.receipts, self.complain, PlacingRules(**rules)),
+            integrated=self.arrivals.append,
+        )
         self._tags = {}
         self.now = 0.0
         """When messages arrive, s."""

@@ -48,10 +48,10 @@ class Ended:
         return "".join(line for line in lines if not re.match(r"[-\d]+ [:,\d]+ INFO ogm_", line))
 
     def complaint(self, code):
-        """The one line on stderr of a command that ended with `code`; nothing else was printed."""
+        """The one warning on stderr of a command that ended with `code`; nothing was printed on stdout."""
         assert (self.code, self.out) == (code, ""), self
-        assert re.fullmatch(r"ogm: [^\n]+\n", self.err), self
-        return self.err
+        assert re.fullmatch(r"ogm: [^\n]+\n", self.warnings), self
+        return self.warnings
 
 
 class Command:

@@ -24,16 +24,18 @@ MAP_FLAGS = (
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port"
 MAPPER_FLAGS = "--start-map --start-confidence"
+SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
-    "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
-    "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS}",
+    "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
+    f"{SERVICE_FLAGS}",
+    "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} {SERVICE_FLAGS}",
     "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise "
-    f"--out --scans --connect-timeout --config {NETWORK_FLAGS}",
-    "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS}",
-    "build": f"--out --hold-out --world --figure --config {MAP_FLAGS} {LOG_FLAGS}",
+    f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
+    "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
+    "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
     "get": "--out -o --url --map --zenoh-config --config",
-    "status": "--json --url --map --zenoh-config --config",
+    "status": "--json --watch --url --map --zenoh-config --config",
 }
 
 

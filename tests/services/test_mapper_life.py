@@ -176,7 +176,7 @@ def test_while_it_stops_it_is_not_ready_and_says_so(start_mapper, in_background,
 
 def test_a_mapper_that_falls_behind_is_not_ready(start_mapper, monkeypatch, eventually):
     work = [0.0]
-    monkeypatch.setattr(ScanQueue, "work", property(lambda _: work[0]), raising=False)
+    monkeypatch.setattr(ScanQueue, "work", property(lambda _: work[0]))
     with start_mapper() as mapper:
         work[0] = 4.9
         monkeypatch.setattr(load, "HOLD", 0.0)

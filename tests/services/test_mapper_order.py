@@ -39,6 +39,18 @@ def test_a_scan_waits_until_a_pose_at_or_after_it_has_come():
     assert (desk.order, desk.xs, desk.pending) == ([0], [0.05], 0)
 
 
+def test_of_a_scan_that_is_integrated_it_is_known_when_it_came():
+    desk = Desk().pose(0)
+    desk.now = 1.0
+    desk.scan(50)
+    desk.now = 2.0
+    desk.scan(0).scan(9, pose=Pose(0, 0, 0), sensor="other").scan(-9999, sensor="third")
+    desk.now = 3.0
+    desk.pose(50)
+    assert desk.arrivals == [2.0, 2.0, 1.0]
+    assert desk.dropped == {"stale": 1}
+
+
 def test_the_last_beam_must_be_covered_and_the_pose_is_that_of_the_first():
     desk = Desk().pose(0).scan(10, beams=11, time_increment=0.002)  # until 30 ms
     desk.pose(20)

@@ -9,6 +9,7 @@ import threading
 import time
 import uuid
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -24,7 +25,7 @@ from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.quality.figures import hints_by
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import ScanQueue
+from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
 from ogm_services.mapper.intake.work import ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
@@ -39,6 +40,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
+from ogm_services.mapper.serving.load_metrics import queue_metrics
 from ogm_services.mapper.serving.measurements import TimedSink
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
@@ -58,7 +60,6 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
-MAX_WORK = 5.0
 FIGURES_TIME = 5.0
 """How long a mapper that has stopped computes figures of its map, s."""
 
@@ -135,7 +136,7 @@ class MapperService:
         receipts, queue = Receipts(), ScanQueue(limits.queue, sizes.cells)
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
-        self._metrics = Metrics()
+        self._metrics = Metrics(partial(queue_metrics, queue))
         measured = self._metrics.measurements
         placer = ScanPlacer(
             *(TimedSink(self.live_map, measured.integration), receipts, complain, settings.placing_rules()),
@@ -151,7 +152,7 @@ class MapperService:
             sensors=SensorRules(settings.sensor_rules()),
         )
         self._monitor = Monitor(self.live_map)
-        falling_behind = FallingBehind(lambda: float(getattr(queue, "work", 0.0)), MAX_WORK)
+        falling_behind = FallingBehind(lambda: queue.work, MAX_WORK)
         self._watch = Watch([RobotPresence(receipts.presence).look, falling_behind.look])
         self._stopping = threading.Event()
         self._health = Health(

@@ -1,0 +1,25 @@
+"""Metrics of a mapper's load: what waits and what is held, each with its limit."""
+
+from collections.abc import Iterator
+
+from prometheus_client.metrics_core import Metric
+
+from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK, ScanQueue
+from ogm_services.mapper.serving.metrics import gauge, gauges
+from ogm_services.runtime.memory import MemoryUse
+
+
+def queue_metrics(queue: ScanQueue) -> Iterator[Metric]:
+    """The queue before the worker: work in s of its time, and payload."""
+    yield gauge("ogm_queue_work_seconds", "Time that the scans that wait will take, about.", queue.work)
+    yield gauge("ogm_queue_work_limit_seconds", "How much of it may wait.", MAX_WORK)
+    yield gauge("ogm_queue_bytes", "Payload of the messages that wait.", queue.bytes)
+    yield gauge("ogm_queue_limit_bytes", "How much of it may wait.", MAX_BYTES)
+
+
+def memory_metrics(memory: MemoryUse) -> Iterator[Metric]:
+    """Memory by kind; a kind that may take what the others leave has no limit of its own."""
+    yield gauges("ogm_memory_bytes", "Memory held for robots and readers.", "kind", memory.held())
+    limits = {kind: limit for kind, limit in memory.limits().items() if limit is not None}
+    yield gauges("ogm_memory_kind_limit_bytes", "How much of a kind may be held.", "kind", limits)
+    yield gauge("ogm_memory_limit_bytes", "How much of all kinds together may be held.", memory.limit)
