@@ -60,6 +60,14 @@ def test_a_level_of_warning_keeps_what_needs_a_look(ogm, endpoint):
     assert " WARNING ogm_services.mapper" in line
 
 
+def test_at_debug_the_http_servers_lines_have_the_form_of_ours(ogm):
+    mapper = ogm.ready(ogm.mapper("--log-level", "debug", "--log-format", "json"))
+    mapper.status()
+    lines = [json.loads(line) for line in mapper.command.stop().err.splitlines()]
+    assert {line["logger"].partition(".")[0] for line in lines} == {"ogm_services", "uvicorn"}
+    assert not any("/status" in line["message"] for line in lines)  # no log of every request
+
+
 @pytest.mark.parametrize("form", ["text", "json"])
 def test_an_error_that_ends_a_mapper_has_the_logs_form(ogm, form):
     with socket.create_server(("127.0.0.1", 0)) as taken:
