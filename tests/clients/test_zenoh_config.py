@@ -5,7 +5,7 @@ import re
 import pytest
 import zenoh
 
-from ogm_client import BadSetting, CannotConnect, ClientError, MapClient, RobotPublisher
+from ogm_client import BadSetting, CannotConnect, ClientError, MapClient, RobotPublisher, session
 from ogm_core.status import encode_status
 from status_json import STATUS
 
@@ -101,3 +101,14 @@ def test_who_does_not_answer_is_named_by_the_file(listener, endpoint, file):
         MapClient(zenoh_config=config) as client,
     ):
         client.status()
+
+
+def test_who_waits_where_tls_is_spoken_is_told_of_certificates(file, caplog, monkeypatch):
+    monkeypatch.setattr(session, "CONNECT_TIMEOUT", 0.0)
+    config = file('mode: "client", connect: {endpoints: ["tls/127.0.0.1:1"]}')
+    with pytest.raises(CannotConnect):
+        RobotPublisher("r1", zenoh_config=config, connect_timeout=0.05)
+    (said,) = caplog.messages
+    assert said.startswith(
+        "waiting for a mapper or a Zenoh router at tls/127.0.0.1:1; with TLS each side needs"
+    )
