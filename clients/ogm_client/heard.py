@@ -4,6 +4,7 @@ from collections import deque
 
 from ogm_client.errors import NotHeard
 from ogm_core.status import RobotStatus, SourceStatus
+from ogm_core.wire.keys import Source
 
 UNHEARD = 3.0
 """How long a mapper may take to hear of what was published, s."""
@@ -49,11 +50,12 @@ def _heard(source: SourceStatus, run: str, seq: int) -> bool:
     return source.run == run and source.last_seq >= seq
 
 
-def not_heard(robot: str, sensor: str | None, map_name: str, status: RobotStatus) -> NotHeard:
+def not_heard(source: Source, map_name: str, status: RobotStatus) -> NotHeard:
     """Say that a mapper hears nothing of a publisher, and what to check."""
+    robot, sensor = source
     what = "poses" if sensor is None else f"scans of sensor {sensor!r}"
-    source = None if sensor is None else status.sources.get(sensor)
-    last = "none at all" if source is None else f"as its last one seq {source.last_seq} of run {source.run!r}"
+    theirs = None if sensor is None else status.sources.get(sensor)
+    last = "none at all" if theirs is None else f"as its last one seq {theirs.last_seq} of run {theirs.run!r}"
     return NotHeard(
         f"robot {robot!r}: the mapper of map {map_name!r} hears nothing of the {what} that are published "
         f"here (it has {last}): does access control let them through, is the name that of the certificate? "

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import zenoh
 from numpy.typing import ArrayLike
 
+from ogm_client.channel import Channel
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
-from ogm_client.heard import Sent, not_heard
+from ogm_client.heard import not_heard
 from ogm_client.map_client import MapClient
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session, reason
 from ogm_core.errors import BadMessage, BadSetting
@@ -89,7 +90,7 @@ class RobotPublisher:
         self._closed = False
         self._warned = False
         self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
-        self._channels: dict[str, _Channel] = {}
+        self._channels: dict[str, Channel] = {}
         self._channels_lock = threading.Lock()
         with ExitStack() as opening:
             if session is None:
@@ -240,9 +241,10 @@ class RobotPublisher:
         with self._channels_lock:
             channels = list(self._channels.items())
         for key, channel in channels:
-            sensor = key.rpartition("/scan/")[2] if "/scan/" in key else None
-            if channel.sent.unheard(status, sensor, whole.uptime_s, time.monotonic()):
-                raise not_heard(self.robot, sensor, self._keys.map_name, status)
+            source = self._keys.source_of(key)
+            assert source is not None, key
+            if channel.sent.unheard(status, source.sensor, whole.uptime_s, time.monotonic()):
+                raise not_heard(source, self._keys.map_name, status)
         return status
 
     def close(self) -> None:
@@ -287,13 +289,13 @@ class RobotPublisher:
         except zenoh.ZError as error:
             raise ClientError(f"{alive}: not declared {self._where}: {reason(error)}") from error
 
-    def _pose_channel(self) -> "_Channel":
+    def _pose_channel(self) -> Channel:
         return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA)
 
-    def _scan_channel(self, sensor: str) -> "_Channel":
+    def _scan_channel(self, sensor: str) -> Channel:
         return self._channel(self._keys.scan(self.robot, sensor), messages.SCAN_SCHEMA)
 
-    def _channel(self, key: str, schema: str) -> "_Channel":
+    def _channel(self, key: str, schema: str) -> Channel:
         with self._channels_lock:
             if self._closed:
                 raise ClientError(f"{key}: the publisher is closed")
@@ -307,32 +309,8 @@ class RobotPublisher:
                 except zenoh.ZError as error:
                     raise ClientError(f"{key}: cannot publish: {reason(error)}") from error
                 self._open.callback(publisher.undeclare)
-                channel = self._channels[key] = _Channel(publisher)
+                channel = self._channels[key] = Channel(publisher)
         return channel
-
-
-class _Channel:
-    """One key: its publisher, the next `seq`, and the lock under which that is taken and sent."""
-
-    def __init__(self, publisher: zenoh.Publisher) -> None:
-        self.publisher = publisher
-        self.seq = 0
-        self.lock = threading.Lock()
-        self.sent = Sent()
-
-    @property
-    def matched(self) -> bool:
-        """Whether anybody subscribes to the key."""
-        status: Any = self.publisher.matching_status  # a MatchingStatus; Zenoh's stub says bool
-        return bool(status.matching)
-
-    def put(self, payload: bytes, run: str, seq: int) -> None:
-        """Send a message, and remember that it was."""
-        try:
-            self.publisher.put(payload)
-        except zenoh.ZError as error:
-            raise ClientError(f"{self.publisher.key_expr}: not sent: {reason(error)}") from error
-        self.sent.note(run, seq, time.monotonic())
 
 
 def _pose_payload(message: PoseStamped) -> bytes:
