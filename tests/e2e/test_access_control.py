@@ -9,6 +9,7 @@ import re
 import subprocess
 import time
 from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,19 @@ ROOT = Path(__file__).parents[2]
 CERTIFICATES = re.search(r"```sh\n(mkdir -p certs\n.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
 SWEEP = {"angle_min": -0.5, "angle_increment": 0.25, "range_min": 0.1, "range_max": 30.0}
 MAPPER, OWN = "ogm/v1/default/alive/mapper/evil", "ogm/v1/default"
+AUTHORITY = """
+[ca]
+default_ca = ours
+[ours]
+database = index.txt
+new_certs_dir = .
+serial = serial
+default_md = sha256
+policy = names
+copy_extensions = copy
+[names]
+commonName = supplied
+"""
 
 
 class Site:
@@ -47,6 +61,21 @@ class Site:
         )
         text = text.replace("tls/127.0.0.1:7447", endpoint or self.endpoint)
         return self._written(f"client-{name}", text.replace("certs/robot1.", f"certs/{name}."))
+
+    def expiring(self, name, seconds):
+        """Make a certificate `expiring` of that name, for some seconds."""
+        end = datetime.now(UTC) + timedelta(seconds=seconds)
+        (self.folder / "ca.cnf").write_text(AUTHORITY)
+        (self.folder / "index.txt").touch()
+        request = f"openssl req -newkey rsa:2048 -nodes -subj /CN={name} -addext extendedKeyUsage=clientAuth"
+        sign = (
+            "openssl ca -batch -config ca.cnf -cert certs/ca.pem -keyfile certs/ca.key -rand_serial -notext"
+        )
+        for command in (
+            f"{request} -keyout certs/expiring.key -out request.csr",
+            f"{sign} -enddate {end:%y%m%d%H%M%SZ} -in request.csr -out certs/expiring.pem",
+        ):
+            subprocess.run(command.split(), cwd=self.folder, check=True, capture_output=True)
 
     def _written(self, name, text):
         path = self.folder / f"{name}-{next(self._numbers)}.json5"
@@ -158,6 +187,20 @@ def test_a_robot_that_is_let_in_is_heard(site, mapper, eventually):
         eventually(lambda: robot.feedback().sources["laser"].integrated == count)
         assert mapper.status()["robots"]["robot2"]["alive"]
     assert mapper.status()["scans"]["integrated"] == before + count
+
+
+def test_a_certificate_that_expires_ends_its_connection(site, mapper, eventually):
+    """One of robot2 that holds for some seconds: long enough to come in on a machine that is busy."""
+
+    def alive():
+        return mapper.status()["robots"].get("robot2", {"alive": False})["alive"]
+
+    site.expiring("robot2", seconds=12)
+    with site.robot("robot2", of="expiring"):
+        eventually(alive)
+        eventually(lambda: not alive())
+    with pytest.raises(CannotConnect, match="with TLS each side needs a certificate"):
+        site.robot("robot2", of="expiring")
 
 
 def test_what_is_too_long_is_dropped_and_the_next_scan_is_not(site, mapper, eventually):
