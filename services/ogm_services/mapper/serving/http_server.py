@@ -1,7 +1,10 @@
 """The HTTP server below the application: its socket, and uvicorn in a thread of its own."""
 
 import asyncio
+import dataclasses
 import logging
+import math
+import resource
 import socket
 import threading
 
@@ -9,9 +12,16 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from ogm_core.errors import OgmError
+from ogm_services.mapper.serving.http_connection import HttpLimits, WaitingConnections, connection_type
+from ogm_services.runtime.limited_log import LimitedLog
 
 GRACE = 2
 """How long open HTTP connections may take to finish when the mapper stops, s."""
+
+SPARE_FILES = 4
+"""Descriptors that are asked of the system, for each HTTP connection; half of them are left to all else."""
+
+log = logging.getLogger(__name__)
 
 
 class CannotServe(OgmError):
@@ -23,12 +33,25 @@ class CannotServe(OgmError):
 class HttpThread:
     """uvicorn beside the main thread, which keeps the signals to itself."""
 
-    def __init__(self, app: ASGIApp, listener: socket.socket) -> None:
+    def __init__(self, app: ASGIApp, listener: socket.socket, limits: HttpLimits | None = None) -> None:
+        limits = _affordable(limits or HttpLimits())
+        waiting = WaitingConnections(limits, LimitedLog(log).of_kind)
+        # Connections inherit it. It ends those, too, whose clients are well and do not read.
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            stall = round(1000 * limits.stall_time)
+            listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, stall)
         logging.getLogger("uvicorn.error").addFilter(_not_cut_off)
         config = uvicorn.Config(
-            app, log_config=None, access_log=False, lifespan="off", timeout_graceful_shutdown=GRACE
+            app,
+            http=connection_type(waiting),
+            ws="none",
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            timeout_keep_alive=math.ceil(limits.request_time),
+            timeout_graceful_shutdown=GRACE,
         )
-        self._server = uvicorn.Server(config)
+        self._server = _Server(config, waiting)
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="ogm-http")
 
     @property
@@ -42,6 +65,35 @@ class HttpThread:
     def __exit__(self, *_: object) -> None:
         self._server.should_exit = True
         self._thread.join()
+
+
+class _Server(uvicorn.Server):
+    """uvicorn that looks, ten times a second, for connections that have waited for too long."""
+
+    def __init__(self, config: uvicorn.Config, waiting: WaitingConnections) -> None:
+        super().__init__(config)
+        self._waiting = waiting
+
+    async def on_tick(self, counter: int) -> bool:
+        self._waiting.close_late(asyncio.get_running_loop().time())
+        return await super().on_tick(counter)
+
+
+def _affordable(limits: HttpLimits) -> HttpLimits:
+    """Limits with at most half of the file descriptors for HTTP, after asking the system for more."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = SPARE_FILES * limits.connections
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    connections = min(limits.connections, max(1, wanted // 2))
+    if connections < limits.connections:
+        log.warning(
+            "at most %d HTTP connections: this process may open %d files (ulimit -n); %d would do",
+            *(connections, wanted, SPARE_FILES * limits.connections),
+        )
+    return dataclasses.replace(limits, connections=connections)
 
 
 def _not_cut_off(record: logging.LogRecord) -> bool:
