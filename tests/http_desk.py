@@ -13,7 +13,7 @@ from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 
 PATIENCE = 30.0
 """How long an answer may take on a busy machine, s."""
-BIG = 64 << 20
+BIG = 32 << 20
 """Bytes of /big: more than the buffers of two sockets take."""
 
 
@@ -65,7 +65,8 @@ class Spoken:
 
 @contextmanager
 def http_desk(**limits):
-    """Serve / (says the body back), and /big, which many bytes are, under HttpLimits(**limits)."""
+    """Serve / (says the body and header X back), and /big, which is BIG bytes, under HttpLimits(**limits)."""
+    much = bytes(BIG)
     with ExitStack() as stack:
         listener = stack.enter_context(bound_socket("127.0.0.1", 0))
 
@@ -73,8 +74,9 @@ def http_desk(**limits):
             request = Request(scope, receive)
             body = await request.body()
             desk.seen.append((request.method, request.url.path, body))
-            content = bytes(BIG) if request.url.path == "/big" else b"said " + body
-            await Response(content, media_type="text/plain")(scope, receive, send)
+            content = much if request.url.path == "/big" else b"said " + body
+            heard = {"Heard": request.headers.get("X", "")}
+            await Response(content, headers=heard, media_type="text/plain")(scope, receive, send)
 
         http = HttpThread(app, listener, HttpLimits(**limits))
         desk = Desk(listener.getsockname(), http)

@@ -81,16 +81,29 @@ def wait_for_more(sock, seconds):
         sock.settimeout(30.0)
 
 
-def test_clients_that_do_not_read_are_closed_and_others_answered(eventually):
+def test_clients_that_do_not_read_are_closed(eventually):
     """They have asked for more than fits into the buffers of both sides."""
     with http_desk(stall_time=1.0, request_time=NEVER) as desk, ExitStack() as stack:
-        stalled = [stack.enter_context(desk.call()) for _ in range(10)]
-        for sock in stalled:
+        for sock in [stack.enter_context(desk.call()) for _ in range(10)]:
             sock.sendall(get(b"/big"))
         eventually(lambda: len(desk.seen) == 10)
-        (answer,) = desk.say(get(b"/", b"Connection: close"))
-        assert answer.status == 200
         eventually(lambda: desk.connections() == 0)
+
+
+def test_200_idle_200_half_and_50_stalled_clients_keep_nobody_else_waiting(eventually):
+    """Whoever asks is answered all the while, and in the end nobody else is there."""
+    with http_desk(stall_time=2.0, request_time=2.0) as desk, ExitStack() as stack:
+        for said, clients in ((b"", 200), (b"GET / HT", 200), (get(b"/big"), 50)):
+            for _ in range(clients):
+                stack.enter_context(desk.call()).sendall(said)
+
+        def alone():
+            (answer,) = desk.say(get(b"/healthy", b"Connection: close"))
+            assert answer.status == 200
+            return desk.connections() == 0
+
+        eventually(lambda: len([path for _, path, _ in desk.seen if path == "/big"]) == 50)
+        eventually(alone)
 
 
 def test_a_client_that_reads_slowly_gets_everything():

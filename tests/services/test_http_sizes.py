@@ -168,7 +168,9 @@ def test_a_client_that_asks_before_it_sends_is_told_to(desk):
 def test_trailers_do_not_pass_for_headers(desk):
     body = b"3\r\nabc\r\n0\r\nHost: evil\r\nX: y\r\n\r\n"
     (answer,) = desk.say(post(b"Transfer-Encoding: chunked", CLOSE, body=body))
-    assert answer.body == b"said abc"
+    assert (answer.body, answer.headers["heard"]) == (b"said abc", "")
+    (answer,) = desk.say(post(b"Transfer-Encoding: chunked", CLOSE, b"X: z", body=body))
+    assert answer.headers["heard"] == "z"
 
 
 def test_a_mapper_is_not_reset_by_a_request_that_is_too_long_or_never_whole(mapper):

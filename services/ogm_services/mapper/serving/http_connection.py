@@ -243,7 +243,7 @@ class HttpConnection(HttpToolsProtocol):
         version = self.parser.get_http_version()
         if version not in ("1.1", "1.0"):
             raise _Refused(400, f"HTTP/{version} is not spoken here: use HTTP/1.1")
-        if not self.url.startswith(b"/") or b"#" in self.url or not self.url.isascii():
+        if not self.url.startswith(b"/") or b"#" in self.url:
             raise _Refused(400, "the target must be a path, with a query or without: /map.png?max_size=500")
         hosts, length = 0, 0
         for name, value in self.headers:
