@@ -26,6 +26,7 @@ BENCHMARKS = (
     "latency",
     "pictures",
     "http_load",
+    "hostile_http",
     "build_speed",
     "memory",
     "start_up",
