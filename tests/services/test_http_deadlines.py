@@ -90,6 +90,19 @@ def test_clients_that_do_not_read_are_closed(eventually):
         eventually(lambda: desk.connections() == 0)
 
 
+def test_a_byte_now_and_then_is_no_progress():
+    """Less than a segment does not open the window again, so nothing can be sent."""
+    with http_desk(stall_time=1.0, request_time=NEVER) as desk, desk.call() as sock:
+        sock.sendall(get(b"/big"))
+        for taken in range(BIG):
+            if taken and not desk.connections():
+                break
+            assert len(sock.recv(1)) == 1
+            with pytest.raises(TimeoutError):
+                event_that_never_comes(0.1)
+        assert taken < 1000
+
+
 def test_200_idle_200_half_and_50_stalled_clients_keep_nobody_else_waiting(eventually):
     """Whoever asks is answered all the while, and in the end nobody else is there."""
     with http_desk(stall_time=2.0, request_time=2.0) as desk, ExitStack() as stack:
