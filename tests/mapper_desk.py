@@ -64,8 +64,8 @@ class Desk:
 
     def pose(self, ms, pose=None, *, run="", seq=0, robot="r"):
         pose = Pose(ms / 1000, 0.0, 0.0) if pose is None else pose
-        self.receipts.pose_received(robot)
-        self.placer.add_pose(robot, PoseStamped(stamp_of(ms), pose, seq, run), self.now)
+        if self.receipts.pose_received(robot, self.now):
+            self.placer.add_pose(robot, PoseStamped(stamp_of(ms), pose, seq, run), self.now)
         self.check()
         return self
 
@@ -75,8 +75,8 @@ class Desk:
         scan = Scan(stamp_of(ms), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
         self.received += 1
         self._tags[scan] = tag
-        self.receipts.scan_received(robot, sensor)
-        self.placer.add_scan(robot, sensor, scan, self.now)
+        if self.receipts.scan_received(robot, sensor, self.now):
+            self.placer.add_scan(robot, sensor, scan, self.now)
         self.check()
         return self
 

@@ -16,7 +16,6 @@ NOW_AND_THEN = 50
 """Every so many scans."""
 ENOUGH = 10
 """Nothing is said of a source before so many scans were looked at."""
-MAX_SOURCES = 1000
 _SEVERAL_RANGES = 5
 _BEYOND_SHARE = 0.05
 _MOST = 0.5
@@ -72,8 +71,6 @@ class Hints:
         """Look at a scan as it comes: what there is to tell, each hint at most once for every source."""
         seen = self._sources.get(source)
         if seen is None:
-            if len(self._sources) >= MAX_SOURCES:
-                self._sources.clear()
             seen = self._sources[source] = _Seen(first_stamp=scan.stamp)
         seen.scans += 1
         if seen.scans > CLOSELY and seen.scans % NOW_AND_THEN:
@@ -92,6 +89,10 @@ class Hints:
         found = [hint for hint in self._found(seen, scan) if hint.slug not in seen.told]
         seen.told.update(hint.slug for hint in found)
         return found
+
+    def forget(self, source: str) -> None:
+        """Forget what was seen of a source."""
+        self._sources.pop(source, None)
 
     def placed(self, source: str, scan: Scan, pose: Pose) -> Sequence[Hint]:
         """Ask the map about a scan that is in it, if most of its source's beams have no return; likewise."""

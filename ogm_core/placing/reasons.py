@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ogm_core.placing.rules import MAX_WAITING, WAITING_NS
+from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS, MAX_WAITING, WAITING_NS
 from ogm_core.placing.source import REPEATS_IN_A_ROW
 from ogm_core.types import Pose, shorter_arc
 
@@ -39,7 +39,7 @@ STEPPED = Reason(
     "the clock of its sensor went back before its pose came; if that happens again and again, look at "
     "that clock",
 )
-
+FORGOTTEN = Reason("forgotten", f"its robot is gone for {FORGOTTEN_AFTER:g} s")
 
 BEYOND = Reason(
     "beyond",
@@ -68,6 +68,24 @@ def gap(between_ns: int, pose_gap_ns: float) -> Reason:
         f"it lies between two poses {between_ns / 1e9:g} s apart, and mapper.pose_gap is "
         f"{pose_gap_ns / 1e9:g} s: publish poses more often, or raise mapper.pose_gap if the robot drives "
         "straight on between two poses",
+    )
+
+
+def too_many_robots(robot: str) -> Reason:
+    """A robot is one too many."""
+    return Reason(
+        "too many robots",
+        f"messages of robot {robot} are refused: {MAX_ROBOTS} others are alive or were heard within "
+        f"{FORGOTTEN_AFTER:g} s; do robots change their names?",
+    )
+
+
+def too_many_sensors(sensor: str) -> Reason:
+    """A sensor is one too many for its robot."""
+    return Reason(
+        "too many sensors",
+        f"scans of sensor {sensor} are refused: its robot has {MAX_SENSORS} others; do sensors change their "
+        "names?",
     )
 
 

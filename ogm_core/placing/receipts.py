@@ -5,6 +5,7 @@ from collections import Counter
 from dataclasses import dataclass, field, fields
 from typing import Literal, NamedTuple, get_args
 
+from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS
 from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
 from ogm_core.types import Pose
 
@@ -23,6 +24,8 @@ DropReason = Literal[
 DROP_REASONS: tuple[DropReason, ...] = get_args(DropReason)
 PoseNote = Literal["malformed", "late", "restarted", "ambiguous", "outlier", "superseded", "refused"]
 """What is odd about a pose."""
+_MAX_RUNS_ALIVE = 64
+"""Runs of a robot whose liveliness tokens are told apart; more are not heard of."""
 
 
 @dataclass(slots=True)
@@ -49,7 +52,12 @@ class _Robot:
     stamp: int | None = None
     runs_alive: set[str] = field(default_factory=set)
     heard: float | None = None
+    seen: float | None = None
+    """When it was heard, or its token came or went, s; None where no times are told."""
     sensors: dict[str, _Sensor] = field(default_factory=dict)
+
+    def gone(self, now: float) -> bool:
+        return not self.runs_alive and self.seen is not None and now - self.seen > FORGOTTEN_AFTER
 
     def status(self, now: float | None) -> RobotStatus:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
@@ -69,38 +77,81 @@ class Receipts:
 
     A scan is received once, and later either integrated or dropped for one reason: what is neither yet is
     pending, so received = integrated + pending + dropped at every moment.
+
+    Every robot and sensor has counts of its own, up to MAX_ROBOTS robots and MAX_SENSORS sensors of each; the
+    messages of more are refused: counted in all, and to be handed on to nobody. A robot that is gone, by the
+    times that are told (s, of one clock), makes room when it is forgotten; what was counted of it stays in
+    the totals.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._robots: dict[str, _Robot] = {}
+        self._scans = _Sensor()
+        """Of all robots, those that have no counts of their own, too."""
         self._poses: Counter[str] = Counter()
         self._ignored = 0
 
-    def pose_received(self, robot: str) -> None:
-        """Count a pose at its arrival."""
+    def pose_received(self, robot: str, now: float | None = None) -> bool:
+        """Count a pose at its arrival; False: it is refused, and counted so."""
         with self._lock:
-            self._robot(robot)
             self._poses["received"] += 1
+            entry = self._heard(robot, now)
+            if entry is None:
+                self._poses["refused"] += 1
+            return entry is not None
+
+    def scan_received(self, robot: str, sensor: str, now: float | None = None) -> bool:
+        """Count a scan at its arrival; False: it is refused, and counted so."""
+        with self._lock:
+            self._scans.received += 1
+            entry = self._heard(robot, now)
+            if entry is None or (sensor not in entry.sensors and len(entry.sensors) >= MAX_SENSORS):
+                self._scans.dropped["refused"] += 1
+                return False
+            entry.sensors.setdefault(sensor, _Sensor()).received += 1
+            return True
+
+    def heard(self, robot: str, now: float) -> None:
+        """Note that any message of a robot has arrived, at `now`."""
+        with self._lock:
+            self._heard(robot, now)
+
+    def admits(self, robot: str, now: float | None = None) -> bool:
+        """Whether a robot has counts of its own, or gets them now: there is a last one."""
+        with self._lock:
+            return self._admitted(robot, now) is not None
+
+    def gone(self, now: float) -> list[str]:
+        """The robots that are not alive and were not heard for FORGOTTEN_AFTER, at `now`."""
+        with self._lock:
+            return [name for name, robot in self._robots.items() if robot.gone(now)]
+
+    def forget(self, robot: str, now: float) -> bool:
+        """Give up the counts of one of those; False if it has come back, or a scan of it is pending."""
+        with self._lock:
+            entry = self._robots[robot]
+            if not entry.gone(now) or any(sensor.pending for sensor in entry.sensors.values()):
+                return False
+            del self._robots[robot]
+            return True
 
     def pose_noted(self, note: PoseNote) -> None:
         """Count a pose that is not used, or that is odd in another way."""
         with self._lock:
             self._poses[note] += 1
 
-    def heard(self, robot: str, now: float) -> None:
-        """Note that any message of a robot has arrived, at `now`, s of the clock that `status` is told."""
-        with self._lock:
-            self._robot(robot).heard = now
-
-    def robot_alive(self, robot: str, run: str, alive: bool) -> None:
+    def robot_alive(self, robot: str, run: str, alive: bool, now: float | None = None) -> None:
         """Note whether the liveliness token of a robot's run is there."""
         with self._lock:
-            runs = self._robot(robot).runs_alive
-            if alive:
-                runs.add(run)
-            else:
-                runs.discard(run)
+            entry = self._admitted(robot, now)
+            if entry is None:
+                return
+            entry.seen = now
+            if not alive:
+                entry.runs_alive.discard(run)
+            elif len(entry.runs_alive) < _MAX_RUNS_ALIVE:
+                entry.runs_alive.add(run)
 
     def hint(self, robot: str, sensor: str, slug: str) -> None:
         """Note what looks wrong with a source's data, each once."""
@@ -117,13 +168,9 @@ class Receipts:
     def located(self, robot: str, stamp: int, pose: Pose) -> None:
         """Note where a robot's base was last said to be."""
         with self._lock:
-            entry = self._robot(robot)
-            entry.stamp, entry.pose = stamp, pose
-
-    def scan_received(self, robot: str, sensor: str) -> None:
-        """Count a scan at its arrival."""
-        with self._lock:
-            self._sensor(robot, sensor).received += 1
+            entry = self._robots.get(robot)
+            if entry is not None:
+                entry.stamp, entry.pose = stamp, pose
 
     def scan_taken(self, robot: str, sensor: str, run: str, seq: int) -> None:
         """Note the last scan that the worker has taken from the queue."""
@@ -134,23 +181,25 @@ class Receipts:
     def scan_integrated(self, robot: str, sensor: str) -> None:
         """Count a scan that is in the map."""
         with self._lock:
+            self._scans.integrated += 1
             self._sensor(robot, sensor).integrated += 1
 
     def scan_dropped(self, robot: str, sensor: str, reason: DropReason) -> None:
         """Count a scan that will never be in the map."""
         with self._lock:
+            self._scans.dropped[reason] += 1
             self._sensor(robot, sensor).dropped[reason] += 1
 
     def status(self, now: float | None = None) -> MessageCounts:
         """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s."""
         with self._lock:
-            sensors = [sensor for robot in self._robots.values() for sensor in robot.sensors.values()]
+            scans = self._scans
             return MessageCounts(
                 scans=ScanCounts(
-                    received=sum(sensor.received for sensor in sensors),
-                    integrated=sum(sensor.integrated for sensor in sensors),
-                    pending=sum(sensor.pending for sensor in sensors),
-                    dropped={reason: sum(s.dropped[reason] for s in sensors) for reason in DROP_REASONS},
+                    received=scans.received,
+                    integrated=scans.integrated,
+                    pending=scans.pending,
+                    dropped={reason: scans.dropped[reason] for reason in DROP_REASONS},
                 ),
                 poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),
@@ -164,15 +213,21 @@ class Receipts:
                 name: Presence(bool(robot.runs_alive), robot.heard) for name, robot in self._robots.items()
             }
 
-    def _robot(self, robot: str) -> _Robot:
+    def _heard(self, robot: str, now: float | None) -> _Robot | None:
+        """Note that a message of a robot has arrived; None if it is one robot too many."""
+        entry = self._admitted(robot, now)
+        if entry is not None:
+            entry.heard = entry.seen = now
+        return entry
+
+    def _admitted(self, robot: str, now: float | None) -> _Robot | None:
         entry = self._robots.get(robot)
-        if entry is None:
-            entry = self._robots[robot] = _Robot()
+        if entry is None and len(self._robots) < MAX_ROBOTS:
+            entry = self._robots[robot] = _Robot(seen=now)
         return entry
 
     def _sensor(self, robot: str, sensor: str) -> _Sensor:
-        sensors = self._robot(robot).sensors
-        entry = sensors.get(sensor)
-        if entry is None:
-            entry = sensors[sensor] = _Sensor()
-        return entry
+        """The counts of a sensor; some that nobody looks at if it has none."""
+        entry = self._robots.get(robot)
+        found = None if entry is None else entry.sensors.get(sensor)
+        return _Sensor() if found is None else found

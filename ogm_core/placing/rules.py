@@ -16,6 +16,13 @@ MAX_WAITING = 4096
 REMEMBERED = 8
 """So many replaced runs are remembered, those that were heard last."""
 
+MAX_ROBOTS = 1000
+"""Robots that are alive, or were heard within FORGOTTEN_AFTER; those that come then are refused."""
+MAX_SENSORS = 16
+"""Sensors of a robot; others are refused."""
+FORGOTTEN_AFTER = 3600.0
+"""Who is not alive, and was not heard for so long, is forgotten, s."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlacingRules:

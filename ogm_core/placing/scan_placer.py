@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
@@ -10,12 +11,15 @@ from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
-from ogm_core.placing.rules import DEFAULT_RULES, MAX_WAITING, WAITING_NS, PlacingRules
+from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
 MAX_GONE = 64
 """So many runs that are gone are remembered of a robot."""
+
+ROBOTS = "robots"
+"""Source of complaints about robots of which nothing is kept, be they ever so many."""
 
 Complain = Callable[[str, str, str], None]
 """Told of a source, `<robot>/<sensor>` or `<robot>/pose`, of the kind of trouble, and what was wrong."""
@@ -89,7 +93,11 @@ class ScanPlacer:
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
         self._messages += 1
-        robot = self._robot(name)
+        robot = self._robot(name, now)
+        if robot is None:
+            self._receipts.pose_noted("refused")
+            self._complain(ROBOTS, *reasons.too_many_robots(name))
+            return
         poses = robot.poses
         stepped = next((source.name for source in robot.sources.values() if source.step_at is not None), "")
         verdict = poses.add(message, stepped=stepped, released=poses.owner in robot.gone)
@@ -112,9 +120,15 @@ class ScanPlacer:
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         self._messages += 1
-        robot = self._robot(name)
+        robot = self._robot(name, now)
+        if robot is None:
+            self._refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
+            return
         source = robot.sources.get(sensor)
         if source is None:
+            if len(robot.sources) >= MAX_SENSORS:
+                self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
+                return
             source = robot.sources[sensor] = Source(f"{name}/{sensor}")
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         for hint in self._hints.look(source.name, scan):
@@ -147,26 +161,47 @@ class ScanPlacer:
         if robot.waiting and robot.waiting[-1] is item and source.crowds(scan.stamp):
             self._limit_waiting(name, robot, sensor)
 
-    def robot_here(self, name: str, run: str) -> None:
+    def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the liveliness token of a robot's run is there."""
-        self._robot(name).gone.pop(run, None)
-        self._receipts.robot_alive(name, run, True)
+        robot = self._robot(name, now)
+        if robot is None:
+            self._complain(ROBOTS, *reasons.too_many_robots(name))
+            return
+        robot.gone.pop(run, None)
+        self._receipts.robot_alive(name, run, True, now)
 
-    def robot_gone(self, name: str, run: str) -> None:
+    def robot_gone(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
-        gone = self._robot(name).gone
-        gone[run] = None
-        if len(gone) > MAX_GONE:
-            del gone[next(iter(gone))]
-        self._receipts.robot_alive(name, run, False)
+        robot = self._robot(name, now)
+        if robot is None:
+            return
+        robot.gone[run] = None
+        if len(robot.gone) > MAX_GONE:
+            del robot.gone[next(iter(robot.gone))]
+        self._receipts.robot_alive(name, run, False, now)
 
     def expire(self, now: float) -> None:
-        """Drop every scan that has waited for longer than a scan may, as has its robot for a pose."""
+        """Drop every scan that has waited for longer than a scan may, as has its robot for a pose.
+
+        Robots that are gone for long are forgotten.
+        """
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
             if robot.waiting and now - max(robot.pose_heard, robot.waiting[0].handed) > wait:
                 why = self._why_none(name, robot, reasons.waited(wait))
                 self._give_up(name, robot, why, lambda item: now - item.handed > wait)
+        for name in self._receipts.gone(now):
+            self._forget(name, now)
+
+    def _forget(self, name: str, now: float) -> None:
+        """Forget a robot that is gone: should it come back, all begins anew for it."""
+        robot = self._robots.get(name)
+        if robot is not None:
+            self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
+        if self._receipts.forget(name, now) and robot is not None:
+            del self._robots[name]
+            for source in robot.sources.values():
+                self._hints.forget(source.name)
 
     def finish(self) -> None:
         """Drop every waiting scan: no pose will come any more."""
@@ -177,12 +212,13 @@ class ScanPlacer:
         """Why no pose has come for a scan: maybe because none ever did."""
         if robot.poses.owner is not None:
             return else_why
-        others = [other for other, known in self._robots.items() if known.poses.owner is not None]
-        return reasons.no_pose_ever(name, others[:5])
+        others = (other for other, known in self._robots.items() if known.poses.owner is not None)
+        return reasons.no_pose_ever(name, list(islice(others, 5)))
 
-    def _robot(self, name: str) -> _Robot:
+    def _robot(self, name: str, now: float) -> _Robot | None:
+        """What is known of a robot; None if it is one too many."""
         robot = self._robots.get(name)
-        if robot is None:
+        if robot is None and self._receipts.admits(name, now):
             robot = self._robots[name] = _Robot(RobotPoses(self._rules))
         return robot
 
@@ -300,6 +336,10 @@ class ScanPlacer:
     def _hint(self, name: str, sensor: str, hint: Hint) -> None:
         self._receipts.hint(name, sensor, hint.slug)
         self._complain(f"{name}/{sensor}", f"hint {hint.slug}", hint.text)
+
+    def _refuse(self, name: str, sensor: str, whom: str, why: Reason) -> None:
+        self._receipts.scan_dropped(name, sensor, "refused")
+        self._complain(whom, *why)
 
     def _drop(self, name: str, sensor: str, reason: DropReason, why: Reason) -> None:
         self._receipts.scan_dropped(name, sensor, reason)

@@ -68,6 +68,7 @@ def test_a_dropped_scan_is_not_pending(reason):
 
 def test_the_last_seq_is_that_of_the_scan_taken_last():
     receipts = Receipts()
+    receipts.scan_received("a", "s")
     for run, seq in (("x", 5), ("x", 7), ("y", 0)):
         receipts.scan_taken("a", "s", run, seq)
     source = as_json(receipts.status())["robots"]["a"]["sources"]["s"]
@@ -90,6 +91,7 @@ def test_poses_and_other_messages():
 
 def test_a_robot_is_where_it_was_last_said_to_be():
     receipts = Receipts()
+    receipts.pose_received("a")
     receipts.located("a", 5, Pose(1.0, 2.0, 3.0))
     receipts.located("a", 7, Pose(4.0, 5.0, 6.0))
     assert as_json(receipts.status())["robots"]["a"] == NOWHERE | {"pose": [4.0, 5.0, 6.0], "stamp": 7}
@@ -109,6 +111,7 @@ def test_a_robot_is_alive_while_one_of_its_runs_is_and_as_old_as_its_last_messag
 
 def test_a_hint_is_noted_once():
     receipts = Receipts()
+    receipts.scan_received("a", "s")
     for slug in ("range_max", "turns", "range_max"):
         receipts.hint("a", "s", slug)
     assert receipts.status().robots["a"].sources["s"].hints == ["range_max", "turns"]

@@ -120,10 +120,10 @@ def test_the_worker_hears_of_the_end_after_the_messages_that_came_before(listene
     keys, queue, receipts, calls = MapKeys("hall"), ScanQueue(10), Receipts(), []
 
     class Placer(ScanPlacer):
-        def robot_here(self, name, run):
+        def robot_here(self, name, run, now):
             calls.append(("here", name, run, threading.current_thread()))
 
-        def robot_gone(self, name, run):
+        def robot_gone(self, name, run, now):
             calls.append(("gone", name, run, threading.current_thread()))
 
     placer = Placer(None, receipts, LimitedLog(logging.getLogger(__name__)).of_kind)

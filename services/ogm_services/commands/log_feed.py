@@ -6,8 +6,9 @@ from ogm_core.errors import BadMessage
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.logs.recordings import RecordingReader
 from ogm_core.placing.hints import Hints
+from ogm_core.placing.reasons import too_many_robots, too_many_sensors
 from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
+from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer, ScanSink
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.types import Scan
 from ogm_services.runtime.complaints import Complaints
@@ -52,13 +53,19 @@ class LogFeed:
                     index += 1
                     show(messages.position)
                 else:
-                    self.receipts.pose_received(message.robot)
-                    placer.add_pose(message.robot, message.message)
+                    if self.receipts.pose_received(message.robot):
+                        placer.add_pose(message.robot, message.message)
+                    else:
+                        self.complaints.add(ROBOTS, *too_many_robots(message.robot))
         placer.finish()
 
     def _take_scan(self, placer: ScanPlacer, sink: LogSink, message: RecordedScan, *, held_out: bool) -> None:
         robot, sensor = message.robot, message.sensor
-        self.receipts.scan_received(robot, sensor)
+        if not self.receipts.scan_received(robot, sensor):
+            known = self.receipts.admits(robot)
+            why = too_many_sensors(sensor) if known else too_many_robots(robot)
+            self.complaints.add(robot if known else ROBOTS, *why)
+            return
         try:
             scan = self.sensors.read(f"{robot}/{sensor}", message.message)
         except BadMessage as error:

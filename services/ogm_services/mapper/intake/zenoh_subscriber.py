@@ -8,8 +8,9 @@ from functools import lru_cache, partial
 import zenoh
 
 from ogm_core.errors import BadMessage
+from ogm_core.placing.reasons import too_many_robots, too_many_sensors
 from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
 from ogm_services.mapper.intake.overload import Overload
@@ -69,13 +70,10 @@ class ZenohSubscriber:
         if source is None or sample.kind != zenoh.SampleKind.PUT:
             self._receipts.ignored()
             return
-        if source.sensor is None:
-            self._receipts.pose_received(source.robot)
-        else:
-            self._receipts.scan_received(source.robot, source.sensor)
-        if self._too_long(source, len(sample.payload)):
+        now = time.monotonic()
+        if self._refused(source, now) or self._too_long(source, len(sample.payload)):
             return
-        dropped = self._queue.put(Message(source, sample.payload.to_bytes(), time.monotonic()))
+        dropped = self._queue.put(Message(source, sample.payload.to_bytes(), now))
         if dropped:
             self._overload.note(dropped)
 
@@ -84,10 +82,29 @@ class ZenohSubscriber:
         found = self._keys.robot_of(str(sample.key_expr))
         if found is None:
             return
+        now = time.monotonic()
         here = sample.kind == zenoh.SampleKind.PUT
+        if here and not self._receipts.admits(found.robot, now):
+            self._complaints.warning(ROBOTS, too_many_robots(found.robot).text)
+            return
         note = self._placer.robot_here if here else self._placer.robot_gone
-        told = partial(note, found.robot, found.run)
-        self._queue.put(Message(None, b"", time.monotonic(), told, robot=found.robot))
+        told = partial(note, found.robot, found.run, now)
+        self._queue.put(Message(None, b"", now, told, robot=found.robot))
+
+    def _refused(self, source: Source, now: float) -> bool:
+        """Count a message; whether it is of one robot, or sensor, too many, so that nothing is kept of it."""
+        robot, sensor = source
+        if sensor is None:
+            taken = self._receipts.pose_received(robot, now)
+        else:
+            taken = self._receipts.scan_received(robot, sensor, now)
+        if taken:
+            return False
+        if sensor is None or not self._receipts.admits(robot, now):
+            self._complaints.warning(ROBOTS, too_many_robots(robot).text)
+        else:
+            self._complaints.warning(robot, too_many_sensors(sensor).text)
+        return True
 
     def _too_long(self, source: Source, length: int) -> bool:
         """Whether a message cannot be one of its kind, because of its length in bytes; it is counted."""
