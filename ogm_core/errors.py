@@ -96,6 +96,10 @@ class LimitReached(ScanRefused):
     slug = "limit"
 
 
+class NoRoom(LimitReached):
+    """A scan needs more new tiles than the map may hold bytes."""
+
+
 class OutsideBounds(ScanRefused):
     """Every beam that counts starts or ends outside the bounds of a map that drops such beams."""
 

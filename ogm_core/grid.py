@@ -28,6 +28,8 @@ class OccupancyGrid:
         """Make an empty map; `epoch` is the id of its life until the next `reset`."""
         self.settings = settings
         self.model: CellModel = settings.cell_model
+        self.max_bytes = settings.max_bytes
+        """What the map may hold from now on; less than it holds: it gets no new tiles."""
         self.lattice, self.bounds = settings.lattice, settings.bounds_rect
         self._store: TileStore
         self._copies: TileCopies | None = None
@@ -117,7 +119,7 @@ class OccupancyGrid:
             return evidence.window(store, self.bounds or store.rect)
 
         store: TileStore = self._store.admitting(
-            updated, lambda store: evidence.new_tiles(store, window(store)), self.settings.max_bytes
+            updated, lambda store: evidence.new_tiles(store, window(store)), self.max_bytes
         )
         self._store = store
         updates = self.model.update(evidence, store, window(store), self.revision + 1)

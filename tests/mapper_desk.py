@@ -41,7 +41,7 @@ class Sink:
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None, **rules):
+    def __init__(self, sink=None, max_waiting=None, **rules):
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.log = LimitedLog(logging.getLogger(__name__))
@@ -52,6 +52,7 @@ class Desk:
         self.placer = ScanPlacer(
             *(self.sink, self.receipts, self.complain, PlacingRules(**rules)),
             integrated=self.arrivals.append,
+            max_waiting=max_waiting,
         )
         self._tags = {}
         self.now = 0.0

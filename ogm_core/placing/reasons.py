@@ -71,6 +71,15 @@ def gap(between_ns: int, pose_gap_ns: float) -> Reason:
     )
 
 
+def no_room(share: int) -> Reason:
+    """Scans that wait hold too much memory."""
+    return Reason(
+        "no room",
+        f"no pose has come for it yet, and scans that wait for poses hold their share of memory, "
+        f"{share / 1024**2:.3g} MiB, those of this robot the most of it: {_RATE}",
+    )
+
+
 def too_many_robots(robot: str) -> Reason:
     """A robot is one too many."""
     return Reason(

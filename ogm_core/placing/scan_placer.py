@@ -13,6 +13,7 @@ from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
 from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
+from ogm_core.placing.waiting import Held, Waiting, WaitingScans
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
 MAX_GONE = 64
@@ -36,26 +37,14 @@ class ScanSink(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Waiting:
-    """A scan that waits for its pose."""
-
-    sensor: str
-    scan: Scan
-    number: int
-    """Of the message, counted over all robots."""
-    handed: float
-    """When it came, s."""
-
-
 @dataclass(slots=True)
 class _Robot:
     """All that decides where the scans of one robot go."""
 
     poses: RobotPoses
+    waiting: WaitingScans
+    """Until a pose at or after their last beam arrives."""
     sources: dict[str, Source] = field(default_factory=dict)
-    waiting: list[_Waiting] = field(default_factory=list)
-    """In order of arrival, until a pose at or after its last beam arrives."""
     pose_heard: float = 0.0
     gone: dict[str, None] = field(default_factory=dict)
     """Runs whose liveliness token was there and is no more, the last one at the end."""
@@ -79,8 +68,12 @@ class ScanPlacer:
         rules: PlacingRules = DEFAULT_RULES,
         hints: Hints | None = None,
         integrated: Callable[[float], None] = lambda _: None,
+        max_waiting: int | None = None,
     ) -> None:
-        """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer."""
+        """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
+
+        `max_waiting`: bytes that scans may hold which wait for poses, of all robots; None: no limit.
+        """
         self._sink = sink
         self._integrated = integrated
         self._receipts = receipts
@@ -89,6 +82,13 @@ class ScanPlacer:
         self._hints = hints or Hints()
         self._robots: dict[str, _Robot] = {}
         self._messages = 0
+        self._held = Held()
+        self._max_waiting = max_waiting
+
+    @property
+    def waiting_bytes(self) -> int:
+        """What scans hold that wait for poses. Any thread."""
+        return self._held.nbytes
 
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
@@ -153,13 +153,15 @@ class ScanPlacer:
         if back:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
-        item = _Waiting(sensor, scan, self._messages, now)
+        item = Waiting(sensor, scan, self._messages, now)
         if source.holds:  # for whichever pose comes next: how far ahead it is matters only then
             robot.waiting.append(item)
         else:
             self._try(name, robot, item)
-        if robot.waiting and robot.waiting[-1] is item and source.crowds(scan.stamp):
-            self._limit_waiting(name, robot, sensor)
+        if robot.waiting.last is item:
+            if source.crowds(scan.stamp):
+                self._limit_waiting(name, robot, sensor)
+            self._limit_bytes()
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the liveliness token of a robot's run is there."""
@@ -187,7 +189,7 @@ class ScanPlacer:
         """
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
-            if robot.waiting and now - max(robot.pose_heard, robot.waiting[0].handed) > wait:
+            if robot.waiting and now - max(robot.pose_heard, robot.waiting.first.handed) > wait:
                 why = self._why_none(name, robot, reasons.waited(wait))
                 self._give_up(name, robot, why, lambda item: now - item.handed > wait)
         for name in self._receipts.gone(now):
@@ -219,7 +221,7 @@ class ScanPlacer:
         """What is known of a robot; None if it is one too many."""
         robot = self._robots.get(name)
         if robot is None and self._receipts.admits(name, now):
-            robot = self._robots[name] = _Robot(RobotPoses(self._rules))
+            robot = self._robots[name] = _Robot(RobotPoses(self._rules), WaitingScans(self._held))
         return robot
 
     @staticmethod
@@ -235,7 +237,7 @@ class ScanPlacer:
         """Drop what waits for poses of the history that has ended."""
         owner, sources = robot.poses.owner, robot.sources
 
-        def is_of_before(item: _Waiting) -> bool:
+        def is_of_before(item: Waiting) -> bool:
             if verdict.new_owner:
                 return item.scan.run != owner
             step_at = sources[item.sensor].step_at
@@ -247,9 +249,8 @@ class ScanPlacer:
 
     def _look_again(self, name: str, robot: _Robot) -> None:
         """Try every scan that waits, in order of arrival."""
-        waiting, robot.waiting = robot.waiting, []
         bugs = []
-        for item in waiting:
+        for item in robot.waiting.take():
             try:
                 self._try(name, robot, item)
             except Exception as bug:  # noqa: BLE001 (raised below)
@@ -257,7 +258,7 @@ class ScanPlacer:
         if bugs:
             raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
 
-    def _try(self, name: str, robot: _Robot, item: _Waiting) -> None:
+    def _try(self, name: str, robot: _Robot, item: Waiting) -> None:
         """Place a scan that is ready, drop one that will never be, let the others wait."""
         scan, newest, covered = item.scan, robot.poses.newest, robot.poses.history.newest
         if newest is None or covered is None:
@@ -288,17 +289,20 @@ class ScanPlacer:
         stamps = [item.scan.stamp for item in robot.waiting if item.sensor == sensor]
         robot.sources[sensor].waiting = len(stamps), min(stamps), max(stamps)
 
+    def _limit_bytes(self) -> None:
+        """Give up the oldest scans of the robot whose waiting ones hold the most, if all hold too much."""
+        most = self._max_waiting
+        while most is not None and self._held.nbytes > most:
+            name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
+            sensor = robot.waiting.take_first().sensor
+            self._drop(name, sensor, "no_pose", reasons.no_room(most))
+
     def _give_up(
-        self, name: str, robot: _Robot, why: Reason, which: Callable[[_Waiting], bool] = lambda _: True
+        self, name: str, robot: _Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True
     ) -> None:
         """Drop those of the waiting scans that `which` chooses."""
-        kept = []
-        for item in robot.waiting:
-            if which(item):
-                self._drop(name, item.sensor, "no_pose", why)
-            else:
-                kept.append(item)
-        robot.waiting = kept
+        for item in robot.waiting.take(which):
+            self._drop(name, item.sensor, "no_pose", why)
 
     def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan, handed: float) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""

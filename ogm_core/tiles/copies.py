@@ -62,6 +62,14 @@ class TileCopies:
     lineage: object
     """One object for all copies of a store and of those that grew from it: their numbers can be compared."""
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that the copy holds, what its tiles share with other copies included."""
+        tiles = (plane for block in self.blocks for plane in block.planes.values())
+        return self.numbers.nbytes + sum(
+            (plane if plane.base is None else plane.base).nbytes for plane in tiles
+        )
+
     def placed(self, rect: CellRect) -> NDArray[np.int64]:
         """`numbers` of the tiles of `rect`, which holds this one's; those of the others are 0."""
         return placed(self.numbers, self.rect, rect)

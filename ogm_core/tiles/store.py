@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.model import Plane
-from ogm_core.errors import LimitReached
+from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.lattice import CellRect
 
 TILE_BITS = 6
@@ -102,14 +102,14 @@ class TileStore:
         bound does not do. A larger store holds this one's cells, and this one is spent.
 
         Raises:
-            LimitReached: it would hold more than `max_bytes`; no cell has changed.
+            NoRoom: it would hold more than `max_bytes`; no cell has changed.
         """
         store = self if self.rect.contains(updated) else self.grown(updated, max_bytes)
-        room = (max_bytes - store.nbytes) // store.tile_bytes
+        room = max(0, (max_bytes - store.nbytes) // store.tile_bytes)  # what is there stays, and is written
         if tiles_met(updated) > room and store.untouched_tiles(updated) > room:
             fresh = new_tiles(store)
             if fresh > room:
-                raise LimitReached(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")
+                raise NoRoom(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")
         if store is not self:
             store.take(self)
         return store

@@ -36,6 +36,11 @@ class TileView:
         """Rows and columns."""
         return self.rect.height, self.rect.width
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that the view holds besides its tiles: the whole, once somebody has asked for it."""
+        return sum(plane.nbytes for plane in (self._whole or {}).values())
+
     def planes(self, rows: slice = _ALL, columns: slice = _ALL, margin: int = 0) -> Planes:
         """The planes of some rows and columns, with so many cells more on every side; 0 beyond the map.
 

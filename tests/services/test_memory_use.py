@@ -14,7 +14,7 @@ def test_it_is_counted_by_kind_at_the_moment_of_the_question():
 
 
 def test_a_share_is_smaller_where_there_is_little_memory():
-    assert MemoryUse(5 * 1024**3).share(256 * 1024**2) == 256 * 1024**2
+    assert MemoryUse(6 * 1024**3).share(256 * 1024**2) == 256 * 1024**2
     assert MemoryUse(1600).share(256) == 100
     assert MemoryUse(1).share(256) == 1
 

@@ -38,7 +38,7 @@ def test_defaults_are_those_of_the_core(load):
     assert (settings.http.host, settings.http.port) == ("127.0.0.1", 8000)
     limits = settings.mapper
     assert (limits.max_cells, limits.max_bytes) == (10**8, 2 * 1024**3)
-    assert limits.max_memory == 2 * limits.max_bytes + 1024**3
+    assert limits.max_memory == 3 * limits.max_bytes
     assert limits.max_scan_cells == 10**9
     assert (limits.max_beams, limits.pose_wait, limits.queue) == (200_000, 2.0, 4096)
     assert (limits.start_map, limits.start_confidence) == (None, 0.9)

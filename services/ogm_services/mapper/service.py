@@ -25,7 +25,7 @@ from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.quality.figures import hints_by
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK, ScanQueue
 from ogm_services.mapper.intake.work import ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
@@ -49,6 +49,7 @@ from ogm_services.results.map_folder import check_folder, write_map, write_quali
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
+from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
@@ -60,6 +61,8 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
+WAITING_BYTES = 256 * MEBIBYTE
+"""What scans may hold that wait for poses, of all robots."""
 FIGURES_TIME = 5.0
 """How long a mapper that has stopped computes figures of its map, s."""
 
@@ -131,18 +134,23 @@ class MapperService:
         limits = settings.mapper
         self._settings = settings
         self._grid_settings = grid.settings
-        self.live_map = LiveMap(grid)
+        self.memory = MemoryUse(limits.max_memory)
+        self.live_map = LiveMap(grid, self.memory)
         sizes = ScanSizes(grid.settings, SensorRules(settings.sensor_rules()))
         receipts, queue = Receipts(), ScanQueue(limits.queue, sizes.cells)
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
         self._metrics = Metrics(partial(queue_metrics, queue))
         measured = self._metrics.measurements
+        share = self.memory.share(WAITING_BYTES)
         placer = ScanPlacer(
             *(TimedSink(self.live_map, measured.integration), receipts, complain, settings.placing_rules()),
             hints=hints,
             integrated=measured.scan_integrated,
+            max_waiting=share,
         )
+        self.memory.add("queue", lambda: queue.bytes, MAX_BYTES)
+        self.memory.add("waiting", lambda: placer.waiting_bytes, share)
         self._queue, self._receipts, self._placer = queue, receipts, placer
         self._overload = Overload(queue, receipts)
         self._worker = Worker(

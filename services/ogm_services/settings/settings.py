@@ -50,8 +50,8 @@ from ogm_services.settings.values import (
     WholeNumber,
 )
 
-DEFAULT_MAX_MEMORY = 2 * DEFAULT_MAX_BYTES + 1024**3
-"""The largest map, the copy of it that readers get, and 1 GiB for all else (the queue takes up to 256 MB)."""
+DEFAULT_MAX_MEMORY = 3 * DEFAULT_MAX_BYTES
+"""The largest map, a copy for readers, which takes up to a quarter more, and over 1 GiB for all else."""
 
 if TYPE_CHECKING:
     from ogm_client.session import NetworkConfig

@@ -4,9 +4,10 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar, cast
 
+from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.quality.truth import truth_figures
@@ -14,15 +15,22 @@ from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
 from ogm_core.tiles.copies import Tiles
+from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.replies.answer import Unavailable
+from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
 
 RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
+RECENT_BYTES = 64 * MEBIBYTE
+"""What they hold at most: of very long scans there are fewer."""
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
 PATIENCE = 3.0
 """Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
+
+_BESIDES = 1024
+"""What a scan takes besides its ranges and poses, about, bytes."""
 
 _T = TypeVar("_T")
 
@@ -58,21 +66,34 @@ class LiveMap:
     of their own, so that who waits for them holds up nobody else.
     """
 
-    def __init__(self, grid: OccupancyGrid) -> None:
+    def __init__(self, grid: OccupancyGrid, memory: MemoryUse | None = None) -> None:
+        """`memory`: what others hold beside the map, which gets new tiles only while all of it has room."""
         self._grid = grid
-        self._recent: deque[PlacedScan] = deque(maxlen=RECENT_SCANS)
+        self._memory = memory
+        self._recent = _RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
         self._writing = threading.Lock()
         self._reading = threading.Lock()
         self._snapshot: MapSnapshot | None = None
+        self._view: TileView | None = None
+        self._copied = 0
         self._state = self._told()
         self._known_cells = _Figure()
         self._quality = _Figure()
         self._stopping = threading.Event()
+        if memory is not None:
+            memory.add("map", lambda: self._state.nbytes)
+            memory.add("copies", self._copies_bytes)
+            memory.add("recent", lambda: self._recent.nbytes, self._recent.share)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
-            updates = self._grid.integrate(scan, pose, sweep)
+            if self._memory is not None:
+                self._grid.max_bytes = min(self._grid.settings.max_bytes, self._allowed(self._memory))
+            try:
+                updates = self._grid.integrate(scan, pose, sweep)
+            except NoRoom as refusal:
+                raise self._reason_of(refusal) from refusal
             self._state = self._told()
             self._recent.append(PlacedScan(scan, pose, sweep))
             return updates
@@ -165,6 +186,27 @@ class LiveMap:
             figures["missing"] = missing
         return figures
 
+    def _allowed(self, memory: MemoryUse) -> int:
+        """Bytes that the map may hold now, beside all else and the copy of it that readers get."""
+        held = memory.held()
+        map_bytes, copies = held["map"], held["copies"]
+        left = memory.limit - sum(held.values()) + map_bytes + copies
+        return min(left - copies, left * 4 // 9)  # a new copy takes up to a quarter more than its tiles
+
+    def _reason_of(self, refusal: NoRoom) -> LimitReached:
+        """A refusal that names the limit which was reached."""
+        if self._memory is None or self._grid.max_bytes >= self._grid.settings.max_bytes:
+            return refusal
+        return LimitReached(
+            f"it needs new tiles, and of mapper.max_memory, {self._memory.limit} bytes, too little is left "
+            f"({self._memory.in_words()}; readers need a copy of the map): raise it, or use larger cells",
+            "max_memory",
+        )
+
+    def _copies_bytes(self) -> int:
+        view = self._view
+        return 0 if view is None else self._copied + view.nbytes
+
     def _told(self) -> _State:
         """The state of the grid; the writer's."""
         grid, rect = self._grid, self._grid.rect
@@ -184,6 +226,8 @@ class LiveMap:
         known = self._snapshot
         if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):
             known = self._snapshot = self._grid.snapshot(room)
+            self._view = cast(TileView, known.stored)
+            self._copied = self._view.tiles.nbytes
         return known
 
     def _known_cells_now(self) -> int:
@@ -217,6 +261,33 @@ class LiveMap:
             return cast(_T, cached.value)
         finally:
             cached.lock.release()
+
+
+class _RecentScans:
+    """The newest scans that are in the map, as far as they take no more than their share, bytes."""
+
+    def __init__(self, share: int) -> None:
+        self.share = share
+        self.nbytes = 0
+        self._scans: deque[PlacedScan] = deque()
+
+    def __iter__(self) -> Iterator[PlacedScan]:
+        return iter(self._scans)
+
+    def append(self, placed: PlacedScan) -> None:
+        self._scans.append(placed)
+        self.nbytes += _bytes_of(placed)
+        while len(self._scans) > RECENT_SCANS or self.nbytes > self.share:
+            self.nbytes -= _bytes_of(self._scans.popleft())
+
+    def clear(self) -> None:
+        self._scans.clear()
+        self.nbytes = 0
+
+
+def _bytes_of(placed: PlacedScan) -> int:
+    sweep = placed.sweep
+    return placed.scan.ranges.nbytes + (0 if sweep is None else sweep.beams.nbytes) + _BESIDES
 
 
 class _Figure:

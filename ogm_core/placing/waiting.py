@@ -1,0 +1,82 @@
+"""Scans that wait for their robot's poses, in order of arrival, and the memory that they hold."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from ogm_core.types import Scan
+
+_BESIDES = 1024
+"""What a waiting scan takes beside its ranges, about, bytes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Waiting:
+    """A scan that waits for its pose."""
+
+    sensor: str
+    scan: Scan
+    number: int
+    """Of the message, counted over all robots."""
+    handed: float
+    """When it came, s."""
+
+    @property
+    def nbytes(self) -> int:
+        """What it holds."""
+        return self.scan.ranges.nbytes + _BESIDES
+
+
+@dataclass(slots=True)
+class Held:
+    """Bytes that the waiting scans of all robots hold together."""
+
+    nbytes: int = 0
+
+
+class WaitingScans:
+    """Those of one robot. Its bytes are counted here, and in what all robots hold."""
+
+    def __init__(self, held: Held) -> None:
+        self._all = held
+        self._items: list[Waiting] = []
+        self.nbytes = 0
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __iter__(self) -> Iterator[Waiting]:
+        return iter(self._items)
+
+    @property
+    def first(self) -> Waiting:
+        """The one that came first; there must be one."""
+        return self._items[0]
+
+    @property
+    def last(self) -> Waiting | None:
+        """The one that came last; None if none waits."""
+        return self._items[-1] if self._items else None
+
+    def append(self, item: Waiting) -> None:
+        """Let a scan wait that came after all the others."""
+        self._items.append(item)
+        self._count(item.nbytes)
+
+    def take(self, which: Callable[[Waiting], bool] = lambda _: True) -> list[Waiting]:
+        """Take out those that `which` chooses."""
+        taken = [item for item in self._items if which(item)]
+        if taken:
+            gone = {item.number for item in taken}
+            self._items = [item for item in self._items if item.number not in gone]
+            self._count(-sum(item.nbytes for item in taken))
+        return taken
+
+    def take_first(self) -> Waiting:
+        """Take out the one that came first; there must be one."""
+        item = self._items.pop(0)
+        self._count(-item.nbytes)
+        return item
+
+    def _count(self, more: int) -> None:
+        self.nbytes += more
+        self._all.nbytes += more
