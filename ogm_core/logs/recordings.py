@@ -23,6 +23,7 @@ from ogm_core.logs.carmen_mount import mount_of_laser
 from ogm_core.logs.g2o import GraphLog
 from ogm_core.logs.jsonl_writer import JSON_SUFFIXES, cannot, to_line, write_jsonl
 from ogm_core.logs.jsonlines import JsonLog
+from ogm_core.logs.lines import LongLine, lines_of, longest_line
 from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan
 from ogm_core.logs.sniff import (
     BOM,
@@ -71,6 +72,9 @@ Parse = Callable[[bytes], Recorded | None]
 def read_lines(lines: Iterable[bytes], parse: Parse, complain: Complain) -> Iterator[Recorded]:
     """Messages of a log's lines; a malformed line goes to `complain` and is passed over."""
     for number, line in enumerate(lines, 1):
+        if isinstance(line, LongLine):
+            complain(number, "it is longer than any line of a scan can be: 24 bytes a beam, up to max_beams")
+            continue
         try:
             recorded = parse(line)
         except BadMessage as error:
@@ -228,9 +232,10 @@ class RecordingReader:
         if self._named((".gz",)):
             lines = io.BufferedReader(GzipContent(self._file), _BUFFER)
         try:
-            yield next(iter(lines), b"").removeprefix(BOM)
-            for line in lines:  # noqa: UP028 (`yield from` would close the file along with this generator)
-                yield line
+            rest = lines_of(lines, longest_line(self._max_beams))
+            first = next(rest, b"")
+            yield first if isinstance(first, LongLine) else first.removeprefix(BOM)
+            yield from rest
         except EOFError as error:
             raise BadRecording(f"{self.path}: truncated, its gzip stream ends too early") from error
         except gzip.BadGzipFile as error:
