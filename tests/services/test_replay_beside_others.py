@@ -6,6 +6,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -76,6 +77,21 @@ def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp
         pytest.raises(ReplayFailed, match=r"stopped taking scans: 64 scans sent, 0 integrated, 64 dropped"),
     ):
         replay_into(mapper, log)
+
+
+def test_one_stamp_far_ahead_or_a_clock_set_back_does_not_end_the_pace(monkeypatch):
+    now, pauses = [100.0], []
+
+    def sleep(seconds):
+        pauses.append(round(seconds, 6))
+        now[0] += seconds
+
+    monkeypatch.setattr(replay, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    pace = replay._Pace(2.0)
+    second = 10**9
+    for stamp in (0, second, second // 2, 2**63 - 1, 2 * second, 3 * second, 2 * second, 4 * second):
+        pace.wait_for(stamp)
+    assert pauses == [0.5, 5.0, 0.5, 0.5]
 
 
 def test_a_recorded_run_gets_a_fresh_name_no_longer_than_a_name_may_be(mapper, tmp_path):

@@ -221,7 +221,9 @@ class _Pace:
             pause = min((stamp - self._newest) / 1e9, LONGEST_PAUSE)
             self._due += pause / self._speed
             time.sleep(max(0.0, self._due - time.monotonic()))
-        self._newest = stamp if self._newest is None else max(self._newest, stamp)
+        back = 0 if self._newest is None else self._newest - stamp
+        if self._newest is None or back < 0 or back > LONGEST_PAUSE * 1e9:
+            self._newest = stamp  # far back: the clock was set, or the stamp before was wrong
 
 
 def _status_of(status: Status, source: Source) -> SourceStatus:
