@@ -18,7 +18,7 @@ from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
 from ogm_core.errors import BadParameter
 from ogm_core.files.file_names import check_suffix, ros_map_names
-from ogm_core.files.map_files import encode_pgm, encode_png, encode_yaml, load_npz
+from ogm_core.files.map_files import MAX_NPZ_BYTES, encode_pgm, encode_png, encode_yaml, load_npz
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.whole_files import whole_file, write_files
@@ -70,15 +70,16 @@ class MapGrid:
         return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "MapGrid":
+    def load(cls, path: str | os.PathLike[str], *, max_bytes: int = MAX_NPZ_BYTES) -> "MapGrid":
         """The map in a file that `save_npz`, `ogm build` or `ogm get map.npz` wrote, value for value.
 
-        The file does not name the map's state: `epoch` is "", `revision` 0, `stamp` None.
+        The file does not name the map's state: `epoch` is "", `revision` 0, `stamp` None. The cells may take
+        `max_bytes` of memory.
 
         Raises:
-            BadMapFile: it cannot be read, or holds something else; the text says what is wrong.
+            BadMapFile: it cannot be read, holds something else or too much; the text says what is wrong.
         """
-        npz = load_npz(Path(path))
+        npz = load_npz(Path(path), max_bytes=max_bytes)
         return cls(npz.log_odds, npz.resolution, npz.anchor, npz.offset, epoch="", revision=0, stamp=None)
 
     @property

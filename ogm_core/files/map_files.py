@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
 from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty
+from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
 from ogm_core.lattice import MAX_INDEX
 from ogm_core.pictures.png import write_png
@@ -27,17 +28,8 @@ PALETTES: dict[str, Encoder] = {DEFAULT_PALETTE: ros_grey, "probability": probab
 
 _ENTRIES = np.frombuffer(b"".join(b"%3d," % value for value in range(-1, 101)), np.uint32)
 """-1, 0 ... 100 as items of a JSON array, four bytes each (JSON allows the blanks): a map is one look-up."""
-_UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    KeyError,
-    ValueError,
-    EOFError,
-    OSError,
-    RuntimeError,
-    MemoryError,
-)
-"""What zipfile and numpy raise on a damaged file; NotImplementedError is a RuntimeError."""
+MAX_NPZ_BYTES = 1024**3
+"""A map whose cells take more is not read, unless more is allowed; 100 million float64 take less."""
 
 
 def encode_png(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
@@ -122,44 +114,63 @@ class NpzMap:
     offset: tuple[int, int]
 
 
-def read_npz(data: bytes, name: str = "map.npz") -> NpzMap:
-    """Read what `encode_npz` wrote.
+def read_npz(data: bytes, name: str = "map.npz", *, max_bytes: int = MAX_NPZ_BYTES) -> NpzMap:
+    """Read what `encode_npz` wrote; its cells may take `max_bytes`, and nothing is unpacked of more.
 
     Raises:
-        BadInput: it is something else, or damaged; the text begins with `name` and says what is wrong.
+        BadInput: it is something else, damaged or too large; the text begins with `name` and says what is
+            wrong.
+    """
+    return _read_npz(io.BytesIO(data), name, max_bytes)
+
+
+def load_npz(path: Path, *, max_bytes: int = MAX_NPZ_BYTES) -> NpzMap:
+    """Read a file that holds what `encode_npz` wrote, likewise.
+
+    Raises:
+        BadMapFile: it cannot be read, is something else, damaged or too large; the text says what is wrong.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            log_odds, resolution, anchor, offset = (
-                _read_array(archive, array) for array in ("log_odds", "resolution", "anchor", "offset")
-            )
-    except _UNREADABLE as error:
+        with path.open("rb") as file:
+            return _read_npz(file, str(path), max_bytes)
+    except OSError as error:
+        raise BadMapFile(f"{path}: cannot be read: {error.strerror or error}") from error
+    except BadInput as error:
+        raise BadMapFile(str(error)) from error
+
+
+def _read_npz(file: BinaryIO, name: str, max_bytes: int) -> NpzMap:
+    try:
+        with NpzArrays(file) as arrays:
+            packed = arrays["log_odds"]
+            if len(packed.shape) != 2 or packed.dtype not in (np.float32, np.float64):
+                raise BadInput(f"{name}: log_odds is {packed}, rows of float32 or float64 are needed")
+            if packed.nbytes > max_bytes:
+                raise BadInput(
+                    f"{name}: its cells take {packed.nbytes} bytes, at most {max_bytes} are allowed"
+                )
+            resolution = _values(arrays, "resolution", (), np.float64)
+            anchor = _values(arrays, "anchor", (2,), np.float64)
+            offset = _values(arrays, "offset", (2,), np.int64)
+            if not 0.0 < resolution < np.inf:
+                raise BadInput(f"{name}: resolution is {resolution}, a positive number is needed")
+            if not np.isfinite(anchor).all():
+                raise BadInput(f"{name}: anchor is {anchor}, finite numbers are needed")
+            if not (abs(offset // 2) < MAX_INDEX // 2).all():
+                raise BadInput(f"{name}: offset is {offset}, at most {MAX_INDEX} cells are needed")
+            log_odds = packed.read()
+    except UNREADABLE as error:
         raise BadInput(f"{name}: not a map that was saved here and can be read ({error})") from error
-    if log_odds.ndim != 2 or log_odds.dtype not in (np.float32, np.float64):
-        raise BadInput(f"{name}: log_odds is {_kind(log_odds)}, rows of float32 or float64 are needed")
-    if resolution.shape != () or resolution.dtype != np.float64 or not 0.0 < resolution < np.inf:
-        raise BadInput(f"{name}: resolution is {_kind(resolution)}, one positive number is needed")
-    if anchor.shape != (2,) or anchor.dtype != np.float64 or not np.isfinite(anchor).all():
-        raise BadInput(f"{name}: anchor is {_kind(anchor)}, two finite numbers are needed")
-    if offset.shape != (2,) or offset.dtype != np.int64 or not (abs(offset // 2) < MAX_INDEX // 2).all():
-        raise BadInput(f"{name}: offset is {_kind(offset)}, two whole numbers are needed")
     x, y = anchor.tolist()
     ix, iy = offset.tolist()
     return NpzMap(log_odds, float(resolution), (x, y), (ix, iy))
 
 
-def load_npz(path: Path) -> NpzMap:
-    """Read a file that holds what `encode_npz` wrote.
-
-    Raises:
-        BadMapFile: it cannot be read, is something else, or damaged; the text says what is wrong.
-    """
-    try:
-        return read_npz(path.read_bytes(), str(path))
-    except OSError as error:
-        raise BadMapFile(f"{path}: cannot be read: {error.strerror or error}") from error
-    except BadInput as error:
-        raise BadMapFile(str(error)) from error
+def _values(arrays: NpzArrays, name: str, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:
+    packed = arrays[name]
+    if packed.shape != shape or packed.dtype != dtype:
+        raise ValueError(f"{name} is {packed}, {np.dtype(dtype)} of shape {shape} is needed")
+    return packed.read()
 
 
 def _picture(snap: MapSnapshot, palette: str) -> NDArray[np.uint8]:
@@ -189,12 +200,3 @@ def _json_trinary(p: Probability, known: Known) -> NDArray[np.uint32]:
 
 
 VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}
-
-
-def _read_array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    # Read whole first: zipfile has then checked the CRC before anything is believed.
-    return np.asarray(npy.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False))
-
-
-def _kind(array: NDArray[Any]) -> str:
-    return f"{array.dtype} of shape {array.shape}"

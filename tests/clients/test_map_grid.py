@@ -220,6 +220,15 @@ def test_what_cannot_be_loaded_is_told_in_one_line(tmp_path):
             MapGrid.load(tmp_path / name)
 
 
+def test_a_map_is_loaded_within_a_limit(tmp_path):
+    grid = grid_of()
+    grid.save_npz(tmp_path / "map.npz")
+    size = grid.log_odds.nbytes
+    assert MapGrid.load(tmp_path / "map.npz", max_bytes=size).width == grid.width
+    with pytest.raises(BadMapFile, match=f"its cells take {size} bytes, at most {size - 1} are allowed"):
+        MapGrid.load(tmp_path / "map.npz", max_bytes=size - 1)
+
+
 @pytest.mark.parametrize(
     ("given", "name", "suffix"),
     [

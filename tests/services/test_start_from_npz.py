@@ -14,6 +14,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.types import Pose, Scan
+from ogm_services.mapper.live import start_map
 from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.settings.settings import Settings
 
@@ -143,6 +144,15 @@ def test_settings_that_contradict_it_are_refused(tmp_path):
     text = refused(settings_with(path, **ODD, mapper={"max_cells": 9}))
     assert text.startswith(f"mapper.start_map: {path}: ")
     assert text.endswith("cells are more than max_cells = 9; raise the limit, or start with a smaller map")
+
+
+def test_a_map_may_be_as_large_as_the_mapper_s_limit_says(tmp_path, monkeypatch):
+    monkeypatch.setattr(start_map, "MAX_NPZ_BYTES", 1000)
+    grid = mapped(settings_with(**ODD))
+    path, cells = saved(grid, tmp_path), grid.snapshot().width * grid.snapshot().height
+    assert started_grid(settings_with(path, **ODD, mapper={"max_cells": cells}), "e").revision == 0
+    text = refused(settings_with(path, **ODD, mapper={"max_cells": cells // 8}), BadMapFile)
+    assert f"its cells take {4 * cells} bytes, at most {cells // 8 * 8} are allowed" in text
 
 
 def test_float64_cells_keep_their_log_odds_under_another_prior(tmp_path):

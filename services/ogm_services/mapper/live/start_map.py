@@ -13,7 +13,7 @@ from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.cells.model import CellModel, StoredCells
 from ogm_core.errors import BadMapFile, BadSetting, LimitReached, OutsideBounds
-from ogm_core.files.map_files import NpzMap, load_npz
+from ogm_core.files.map_files import MAX_NPZ_BYTES, NpzMap, load_npz
 from ogm_core.grid import OccupancyGrid
 from ogm_services.settings.settings import Settings, is_npz
 
@@ -65,7 +65,8 @@ def _grid_of_ros_map(settings: Settings, epoch: str, path: Path) -> OccupancyGri
 
 def _grid_of_npz(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
     """The map that was saved, value for value: known cells keep their log odds, whatever the prior is now."""
-    npz = load_npz(path)
+    largest = settings.mapper.max_cells * np.dtype(np.float64).itemsize
+    npz = load_npz(path, max_bytes=max(largest, MAX_NPZ_BYTES))
     _check_resolution(settings, npz.resolution, path)
     if "start_confidence" in settings.mapper.model_fields_set:
         raise BadSetting(
