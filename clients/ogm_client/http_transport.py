@@ -1,13 +1,39 @@
 """HTTP transport: a mapper reached over HTTP."""
 
+import io
+import time
+from http.cookiejar import CookieJar, DefaultCookiePolicy
+from typing import NamedTuple
+
+import httpcore
 import httpx
 
 from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
-from ogm_client.transport import MapReply, Parameters, Version, json_object, map_reply, mapper_error
+from ogm_client.http_deadline import DEADLINE, DeadlineTransport
+from ogm_client.transport import (
+    MAX_PROBLEM_BYTES,
+    Limits,
+    MapReply,
+    Parameters,
+    Version,
+    json_object,
+    map_reply,
+    mapper_error,
+    printable,
+    too_long,
+)
 from ogm_core.errors import BadParameter, BadSetting
 from ogm_core.wire.keys import check_name
 
 _PROBLEM = "application/problem+json"
+_HEADERS = {"Accept-Encoding": "identity"}
+"""Of an answer that is not compressed the length tells how much memory it takes."""
+
+
+class _Answer(NamedTuple):
+    status_code: int
+    headers: httpx.Headers
+    content: bytes
 
 
 class HttpTransport:
@@ -16,20 +42,24 @@ class HttpTransport:
     With a `map_name`, NobodyAnswered is raised where another map is served.
     """
 
-    def __init__(self, url: str, timeout: float, map_name: str | None) -> None:
-        """Take the mapper's address, "http://host:port", and how long an answer may take, s.
+    def __init__(self, url: str, limits: Limits, map_name: str | None) -> None:
+        """Take the mapper's address, "http://host:port", and what an answer may take.
 
         Raises:
             BadSetting: it is not a URL, or the map's name is ill-formed.
         """
         self._url = url
-        self._timeout = timeout
+        self._limits = limits
         self._map_name = None if map_name is None else check_name(map_name, "map name")
         self._epoch: str | None = None
         """That of a map which has the right name."""
+        # A robot's mapper is on its network, whatever proxy the environment names for the world outside: no
+        # proxy is asked. Nor are cookies kept, of which a stranger could send ever more.
+        no_cookies = CookieJar(DefaultCookiePolicy(allowed_domains=()))
         try:
-            # A robot's mapper is on its network, whatever proxy the environment names for the world outside.
-            self._client = httpx.Client(base_url=url, timeout=timeout, trust_env=False)
+            self._client = httpx.Client(
+                base_url=url, headers=_HEADERS, cookies=no_cookies, transport=DeadlineTransport()
+            )
         except httpx.InvalidURL as error:
             raise BadSetting(f"address {url!r}: {error}") from error
 
@@ -57,68 +87,92 @@ class HttpTransport:
 
     def _send(
         self, method: str, name: str, parameters: Parameters, headers: dict[str, str] | None = None
-    ) -> httpx.Response:
+    ) -> _Answer:
+        deadline = time.monotonic() + self._limits.timeout
         if self._epoch is None:
-            self._check_map()
-        response = self._request(method, name, parameters, headers)
-        if response.headers.get("OGM-Epoch", self._epoch) != self._epoch:
-            self._check_map()  # by now somebody else may be there
-        return response
+            self._check_map(deadline)
+        answer = self._request(method, name, parameters, headers, deadline)
+        if answer.headers.get("OGM-Epoch", self._epoch) != self._epoch:
+            self._check_map(deadline)  # by now somebody else may be there
+        return answer
 
-    def _check_map(self) -> None:
+    def _check_map(self, deadline: float) -> None:
         """Ask which map is served, if that matters."""
         if self._map_name is None:
             return
-        status = json_object("status", self._request("GET", "status", {}, None).content)
+        status = json_object("status", self._request("GET", "status", {}, None, deadline).content)
         if status.get("map") != self._map_name:
             raise NobodyAnswered(
-                f"{self._url} serves map {status.get('map')!r}, and not {self._map_name!r}: "
+                f"{self._url} serves map {printable(repr(status.get('map')))}, and not {self._map_name!r}: "
                 "is the address right, or the map's name?"
             )
         self._epoch = status.get("epoch")
 
     def _request(
-        self, method: str, name: str, parameters: Parameters, headers: dict[str, str] | None
-    ) -> httpx.Response:
+        self,
+        method: str,
+        name: str,
+        parameters: Parameters,
+        headers: dict[str, str] | None,
+        deadline: float,
+    ) -> _Answer:
         if self._client.is_closed:
             raise ClientError(f"{name}: the client is closed")
         checked, self._epoch = self._epoch, None
         try:
-            response = self._client.request(method, f"/{name}", params=parameters, headers=headers)
-        except (httpx.ConnectError, httpx.ConnectTimeout) as error:
+            with self._client.stream(
+                method, f"/{name}", params=parameters, headers=headers, extensions={DEADLINE: deadline}
+            ) as response:
+                answer = _Answer(response.status_code, response.headers, self._content(name, response))
+        except (httpcore.ConnectError, httpcore.ConnectTimeout) as error:
             raise CannotConnect(
                 f"cannot connect to {self._url} ({error}): is `ogm mapper` running there?"
             ) from error
-        except httpx.TimeoutException as error:
+        except httpcore.TimeoutException as error:
             raise NobodyAnswered(
-                f"{self._url} did not answer /{name} within {self._timeout:g} s: is a mapper running there?"
+                f"{self._url} did not answer /{name} within {self._limits.timeout:g} s: "
+                "is a mapper running there?"
             ) from error
         except httpx.InvalidURL as error:
             raise BadParameter(f"{name}: cannot be asked: {error}") from error
-        except httpx.TransportError as error:
-            raise BadReply(f"{self._url}: no HTTP answer to /{name} ({error}): is it a mapper's?") from error
+        except (httpcore.NetworkError, httpcore.ProtocolError) as error:
+            raise BadReply(
+                f"{self._url}: no HTTP answer to /{name} ({printable(str(error))}): is it a mapper's?"
+            ) from error
         self._epoch = checked
-        self._check(name, response)
-        return response
+        return answer
 
-    def _check(self, name: str, response: httpx.Response) -> None:
-        if response.is_success or response.status_code == httpx.codes.NOT_MODIFIED:
-            return
+    def _content(self, name: str, response: httpx.Response) -> bytes:
+        """The body of a mapper's answer; its refusal, or something else, is raised."""
+        if response.status_code == httpx.codes.NOT_MODIFIED:
+            return b""
+        if response.is_success:
+            return self._limited(name, response, self._limits.bytes_of(name))
         if response.headers.get("content-type", "").partition(";")[0].strip() == _PROBLEM:
-            raise mapper_error(f"/{name}", response.content)
+            raise mapper_error(f"/{name}", self._limited(name, response, MAX_PROBLEM_BYTES))
         raise BadReply(
-            f"{self._url}: /{name} was answered with {response.status_code} {response.reason_phrase}, "
-            "and not as a mapper does: is the address right?"
+            f"{self._url}: /{name} was answered with {response.status_code} "
+            f"{printable(response.reason_phrase)}, and not as a mapper does: is the address right?"
         )
 
+    def _limited(self, name: str, response: httpx.Response, limit: int) -> bytes:
+        """A body as it was sent, of at most so many bytes."""
+        coding = response.headers.get("content-encoding", "identity")
+        if coding.lower() != "identity":
+            raise BadReply(f"{self._url}: /{name} came compressed ({printable(coding)}), which was not asked")
+        content = io.BytesIO()
+        for part in response.iter_raw():
+            if content.tell() + len(part) > limit:
+                raise too_long(f"{self._url}: /{name}", limit)
+            content.write(part)
+        return content.getvalue()
 
-def _map_reply(response: httpx.Response) -> MapReply:
-    headers = response.headers
+
+def _map_reply(answer: _Answer) -> MapReply:
+    headers = answer.headers
     stamp = headers.get("OGM-Stamp")
     try:
-        revision = int(headers["OGM-Revision"])
-        return map_reply(
-            response.content, headers["OGM-Epoch"], revision, None if stamp == "null" else int(stamp)
-        )
+        epoch, revision = headers["OGM-Epoch"], int(headers["OGM-Revision"])
+        return map_reply(answer.content, epoch, revision, None if stamp == "null" else int(stamp))
     except (KeyError, TypeError, ValueError) as error:
-        raise BadReply(f"{response.url}: headers OGM-Epoch, OGM-Revision and OGM-Stamp are needed") from error
+        raise BadReply("map.npz: headers OGM-Epoch, OGM-Revision and OGM-Stamp are needed") from error

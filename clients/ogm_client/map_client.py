@@ -15,14 +15,15 @@ from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
 from ogm_client.status_reply import read_status
-from ogm_client.transport import NAMES, MapReply, Transport, json_object
+from ogm_client.transport import NAMES, Limits, MapReply, Transport, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
-from ogm_core.files.map_files import read_npz
+from ogm_core.files.map_files import MAX_NPZ_BYTES, read_npz
 from ogm_core.status import Status
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 DEFAULT_TIMEOUT = 5.0
+DEFAULT_MAX_BYTES = MAX_NPZ_BYTES
 DEFAULT_INTERVAL = 0.5
 DEFAULT_MAP = "default"
 
@@ -50,6 +51,7 @@ class MapClient:
         zenoh_config: str | Path | None = None,
         map_name: str | None = None,
         timeout: float = DEFAULT_TIMEOUT,
+        max_bytes: int = DEFAULT_MAX_BYTES,
         session: zenoh.Session | None = None,
     ) -> None:
         """Connect to "http://host:port" or "https://...", or by Zenoh to an endpoint such as "tcp/host:port".
@@ -57,17 +59,21 @@ class MapClient:
         Without an address: as `zenoh_config` says, a Zenoh configuration file (JSON5, with TLS if you like),
         else to a mapper on this machine. With both, the address overrides the file's.
         `map_name` None: the map "default" over Zenoh, over HTTP whichever is served there; one that is given
-        must be the one served, else requests raise NobodyAnswered. `timeout` of each answer in seconds. An
+        must be the one served, else requests raise NobodyAnswered. An answer has to be there, to its last
+        byte, `timeout` seconds after the question, and may have `max_bytes`, the cells of a map unpacked. An
         open Zenoh `session` is used in place of `address`, and stays open.
 
         Raises:
-            BadSetting: the address, the map's name, the timeout or the file is ill-formed, or they do not go
-                together.
+            BadSetting: the address, the map's name, the timeout, `max_bytes` or the file is ill-formed, or
+                they do not go together.
             CannotConnect: nothing takes Zenoh connections at the address (HTTP connects when first asked).
         """
         if not 0.0 < timeout < math.inf:
             raise BadSetting(f"timeout: a positive number of seconds is needed, got {timeout}")
-        self._transport = _transport(address, zenoh_config, map_name, timeout, session)
+        if isinstance(max_bytes, bool) or not isinstance(max_bytes, int) or max_bytes < 1:
+            raise BadSetting(f"max_bytes: a positive whole number is needed, got {max_bytes!r}")
+        self._max_bytes = max_bytes
+        self._transport = _transport(address, zenoh_config, map_name, Limits(timeout, max_bytes), session)
 
     def get_map(self, region: ArrayLike | None = None) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
@@ -77,7 +83,7 @@ class MapClient:
         Raises:
             MapperError: the region is inverted, not finite, or wholly outside the map.
         """
-        return _grid(self._transport.fetch_map(_texts({"region": region})))
+        return self._grid(self._transport.fetch_map(_texts({"region": region})))
 
     def fetch(self, name: str, /, **parameters: Value) -> bytes:
         """The bytes of map.png, map.json, map.pgm, map.yaml, map.npz, cell, quality or status.
@@ -143,16 +149,23 @@ class MapClient:
         while True:
             if reply is not None:
                 seen = reply.version
-                yield _grid(reply)
+                yield self._grid(reply)
             time.sleep(interval)
             reply = self._transport.fetch_map_after(seen)
+
+    def _grid(self, reply: MapReply) -> MapGrid:
+        try:
+            npz = read_npz(reply.npz, max_bytes=self._max_bytes)
+        except BadInput as error:
+            raise BadReply(str(error)) from error
+        return MapGrid(npz.log_odds, npz.resolution, npz.anchor, npz.offset, *reply.version, reply.stamp)
 
 
 def _transport(
     address: str | None,
     zenoh_config: str | Path | None,
     map_name: str | None,
-    timeout: float,
+    limits: Limits,
     session: zenoh.Session | None,
 ) -> Transport:
     if session is not None and zenoh_config is not None:
@@ -164,22 +177,14 @@ def _transport(
             # Here, because it loads httpx, which who speaks Zenoh need not wait for.
             from ogm_client.http_transport import HttpTransport
 
-            return HttpTransport(address, timeout, map_name)
+            return HttpTransport(address, limits, map_name)
         if "://" in address or "/" not in address:
             raise BadSetting(
                 f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, "
                 "is needed"
             )
     network = NetworkConfig.of_client(address, zenoh_config)
-    return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, timeout, session)
-
-
-def _grid(reply: MapReply) -> MapGrid:
-    try:
-        npz = read_npz(reply.npz)
-    except BadInput as error:
-        raise BadReply(str(error)) from error
-    return MapGrid(npz.log_odds, npz.resolution, npz.anchor, npz.offset, *reply.version, reply.stamp)
+    return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, limits, session)
 
 
 def _texts(parameters: dict[str, Value]) -> dict[str, str]:

@@ -17,6 +17,8 @@ _WORDS = {
     bool: "true or false",
     Pose: "[x, y, theta]",
 }
+_END = 2**64
+"""Numbers are smaller, whatever their sign; an infinite one is not, and NaN is neither."""
 
 
 def read_status(payload: bytes) -> Status:
@@ -40,13 +42,17 @@ def _value(kind: Any, given: Any, path: tuple[str, ...]) -> Any:  # noqa: ANN401
     match get_origin(kind) or kind, given:
         case origin, dict() if origin is dict:
             inner = get_args(kind)[1]
-            return {name: _value(inner, part, (*path, name)) for name, part in given.items()}
+            return {_text(name, path): _value(inner, part, (*path, name)) for name, part in given.items()}
         case origin, list() if origin is list:
             inner = get_args(kind)[0]
             return [_value(inner, part, path) for part in given]
         case part, dict() if is_dataclass(part):
             return _part(kind, given, path)
+    if kind is str and type(given) is str:
+        return _text(given, path)
     if type(given) is kind or (kind is float and type(given) is int):
+        if not -_END < given < _END:
+            raise _misread(path, "a number below 2^64 is needed")
         return kind(given)
     raise _misread(path, f"{_WORDS.get(kind, 'something else')} is needed, got {type(given).__name__}")
 
@@ -60,6 +66,13 @@ def _part(kind: Any, given: dict[str, Any], path: tuple[str, ...]) -> Any:  # no
         elif required:
             raise _misread((*path, name), "missing")
     return kind(**values)
+
+
+def _text(text: str, path: tuple[str, ...]) -> str:
+    """A text that may be shown on a terminal, which some characters would steer."""
+    if not text.isprintable():
+        raise _misread(path, "a text has characters that cannot be shown")
+    return text
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 from ogm_client.errors import BadReply, MapperError
 
@@ -10,6 +10,24 @@ NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quali
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
 
 Parameters = Mapping[str, str]
+
+MAX_FIGURES_BYTES = 16 * 1024**2
+"""The longest status, figures of quality or cell, bytes: a thousand robots' status is half of it."""
+MAX_PROBLEM_BYTES = 64 * 1024
+"""The longest error reply, bytes."""
+_MAX_EPOCH = 128
+_SHOWN = 300
+
+
+class Limits(NamedTuple):
+    """What an answer may take: seconds from the question to its last byte, and bytes, unpacked ones too."""
+
+    timeout: float
+    max_bytes: int
+
+    def bytes_of(self, name: str) -> int:
+        """The longest answer to one of NAMES."""
+        return self.max_bytes if name.startswith("map.") else min(self.max_bytes, MAX_FIGURES_BYTES)
 
 
 class Version(NamedTuple):
@@ -49,16 +67,23 @@ class Transport(Protocol):
         """Withdraw from the network; closing twice does nothing."""
 
 
+def too_long(what: str, limit: int) -> BadReply:
+    """Say that an answer is longer than `limit`, bytes."""
+    return BadReply(f"{what}: longer than {limit} bytes, the most that is read of it (max_bytes, for maps)")
+
+
 def map_reply(npz: bytes, epoch: object, revision: object, stamp: object) -> MapReply:
     """Check what accompanies a map.
 
     Raises:
         BadReply: a value is missing or of the wrong type.
     """
-    if not isinstance(epoch, str) or type(revision) is not int or not (stamp is None or type(stamp) is int):
+    if not isinstance(epoch, str) or not (epoch.isascii() and epoch.isprintable()) or len(epoch) > _MAX_EPOCH:
+        raise BadReply(f"map.npz: a plain text is needed as epoch, got {printable(repr(epoch))}")
+    if type(revision) is not int or not (stamp is None or type(stamp) is int):
         raise BadReply(
-            f"map.npz: a text epoch, a whole revision and a whole or null stamp are needed, "
-            f"got {epoch!r}, {revision!r} and {stamp!r}"
+            f"map.npz: a whole revision and a whole or null stamp are needed, "
+            f"got {printable(f'{revision!r} and {stamp!r}')}"
         )
     return MapReply(npz, Version(epoch, revision), stamp)
 
@@ -70,9 +95,11 @@ def json_object(what: str, payload: bytes) -> dict[str, Any]:
         BadReply: it is something else; the text names `what`.
     """
     try:
-        value = json.loads(payload)
+        value = json.loads(payload, parse_constant=_no_number)
+    except RecursionError as error:
+        raise BadReply(f"{what}: not JSON that can be read (nested too deep)") from error
     except ValueError as error:  # also a text that is not UTF-8
-        raise BadReply(f"{what}: not JSON ({error})") from error
+        raise BadReply(f"{what}: not JSON ({printable(str(error))})") from error
     if not isinstance(value, dict):
         raise BadReply(f"{what}: a JSON object is needed, got {type(value).__name__}")
     return value
@@ -86,6 +113,20 @@ def mapper_error(what: str, payload: bytes) -> MapperError:
     """
     problem = json_object(f"error reply to {what}", payload)
     match problem:
-        case {"type": str(kind), "status": int(status)}:
-            return MapperError(kind, status, str(problem.get("detail") or problem.get("title") or kind))
-    raise BadReply(f"error reply to {what}: problem+json with type and status is needed, got {problem}")
+        case {"type": str(kind), "status": int(status)} if 400 <= status < 600:
+            detail = str(problem.get("detail") or problem.get("title") or kind)
+            return MapperError(printable(kind), status, printable(detail))
+    raise BadReply(
+        f"error reply to {what}: problem+json with type and status is needed, got {printable(repr(problem))}"
+    )
+
+
+def printable(text: str) -> str:
+    """What a stranger says, for a terminal: one line, not long, without characters that steer it."""
+    line = " ".join(text[: 2 * _SHOWN].split())
+    shown = "".join(letter if letter.isprintable() else "?" for letter in line)
+    return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number of JSON's")
