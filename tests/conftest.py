@@ -23,8 +23,11 @@ def pytest_configure(config):
     cache = ExitStack()
     cache.enter_context(kernel_cache())
     config.add_cleanup(cache.close)
-    settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-    settings.load_profile("busy")
+    patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.register_profile("busy", patient)
+    settings.register_profile("soak", patient, max_examples=10_000)  # pytest --hypothesis-profile soak
+    if config.getoption("--hypothesis-profile") is None:
+        settings.load_profile("busy")
 
 
 def pytest_xdist_auto_num_workers():
