@@ -1,7 +1,8 @@
 """Strict YAML reader: plain values, and errors for what YAML libraries silently let through.
 
 Numbers are those of YAML 1.2 (section 10.3.2), as other programs read them, too: 012 is twelve and 5e-2 a
-number, while YAML 1.1 takes the first for ten, the second for a word, and 1:30 for ninety.
+number, while YAML 1.1 takes the first for ten, the second for a word, and 1:30 for ninety. Merges (`<<`) are
+no part of YAML 1.2, and a few lines of them can take for ever: they are refused.
 """
 
 import re
@@ -11,8 +12,11 @@ from typing import Any
 import yaml
 
 # What PyYAML lets through, beside its own error, from a scalar that is not what its tag says (!!bool maybe),
-# from a date that does not exist, and from an integer of thousands of digits.
-YAML_ERRORS = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError)
+# from a date that does not exist, from a number that has no room, and from an integer of thousands of digits.
+YAML_ERRORS = (
+    *(yaml.YAMLError, ValueError, TypeError, LookupError),
+    *(AttributeError, ArithmeticError, RecursionError),
+)
 MAX_DEPTH = 50
 """Lists and mappings may lie in each other this deep; none that is read here needs more than five."""
 _PRINTABLE = 1e6
@@ -22,6 +26,7 @@ _PRINTABLE = 1e6
 NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """Numbers in decimal digits, as text."""
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_MERGE = "tag:yaml.org,2002:merge"
 _WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _REAL = re.compile(rf"{NUMBER.pattern}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
@@ -44,11 +49,33 @@ class _Loader(_SafeLoader):  # type: ignore[misc]
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
         return mapping
 
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Refuse merges, in place of following them."""
+        for key, _ in node.value:
+            if key.tag == _MERGE:
+                raise yaml.constructor.ConstructorError(
+                    None,
+                    None,
+                    "<< merges mappings, which is not taken: write out what they hold",
+                    key.start_mark,
+                )
+
 
 def _whole(loader: Any, node: yaml.ScalarNode) -> int:  # noqa: ANN401 (whichever loader there is)
+    text = _digits(loader, node, _WHOLE)
+    return int(text, {"0o": 8, "0x": 16}.get(text.lstrip("+-")[:2], 10))
+
+
+def _real(loader: Any, node: yaml.ScalarNode) -> float:  # noqa: ANN401 (likewise)
+    return float(re.sub(r"\.(?=[a-z])", "", _digits(loader, node, _REAL).lower()))
+
+
+def _digits(loader: Any, node: yaml.ScalarNode, form: re.Pattern[str]) -> str:  # noqa: ANN401 (likewise)
+    """What is written there, if it has that form: a tag such as !!float can stand before any text."""
     text = str(loader.construct_scalar(node))
-    digits = text.lstrip("+-")
-    return int(text, {"0o": 8, "0x": 16}.get(digits[:2], 10))
+    if not form.fullmatch(text):
+        raise ValueError(f"{shown(text)} is no number")
+    return text
 
 
 class _Dumper(_SafeDumper):  # type: ignore[misc]
@@ -63,13 +90,14 @@ for _kind in (_Loader, _Dumper):
     for _tag, _pattern in zip(_NUMBER_TAGS, (_WHOLE, _REAL), strict=True):
         _kind.add_implicit_resolver(_tag, re.compile(rf"(?:{_pattern.pattern})\Z"), list("-+.0123456789"))
 _Loader.add_constructor(_NUMBER_TAGS[0], _whole)
+_Loader.add_constructor(_NUMBER_TAGS[1], _real)
 
 
 def parse_yaml(text: str) -> object:
     """The plain value that YAML text stands for.
 
     Raises:
-        ValueError: it is not YAML, is nested too deep, or gives a key twice; the text says why, in one line.
+        ValueError: it is not YAML, merges, is nested too deep or gives a key twice; one line says why.
     """
     try:
         _check_depth(text)

@@ -13,8 +13,8 @@ ROOT = "ogm/v1"
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 """Where a mapper listens on Zenoh, and where everyone else looks for it, unless told otherwise."""
 
-MAX_TRUTH_BYTES = 2 * 1024**2
-"""The longest text of a simulator's world that a mapper reads; that of a warehouse is a quarter of it."""
+MAX_TRUTH_BYTES = 256 * 1024
+"""The longest text of a simulator's world that a mapper reads: some 10,000 walls."""
 
 Service = Literal["map", "cell", "quality", "status", "reset"]
 

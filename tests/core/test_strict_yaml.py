@@ -39,6 +39,43 @@ def test_numbers_are_those_of_yaml_1_2(text, value):
     assert type(read) is type(value)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "!!float 1:30",
+        "!!int 1:30",
+        "!!int 1_000",
+        "!!float 1_0.5",
+        "!!int 0b11",
+        "!!float infinity",
+        "!!float " + "1:" * 100_000 + "1",  # of base 60, it is no number that has room
+    ],
+)
+def test_a_tag_makes_no_number_of_what_is_none(text):
+    with pytest.raises(ValueError, match="not YAML that can be read"):
+        parse_yaml(f"key: {text}")
+
+
+def test_tagged_numbers_are_those_without_a_tag():
+    texts = "[!!float 5e-2, !!float -.INF, !!float 7, !!int 012, !!int 0x1F, !!float .nan]"
+    *numbers, nan = parse_yaml(texts)
+    assert (numbers, math.isnan(nan)) == ([0.05, -math.inf, 7.0, 12, 31], True)
+
+
+MERGES = ["a0: &a0 {x: 1}", *(f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}" for k in range(1, 60))]
+"""Without end for whoever follows them: each line doubles what is made."""
+
+
+@pytest.mark.parametrize("text", ["\n".join(MERGES), "{<<: {a: 1}}", "{? !!merge x : {a: 1}}"])
+def test_merges_are_refused(text):
+    with pytest.raises(ValueError, match="<< merges mappings, which is not taken: write out what they hold"):
+        parse_yaml(text)
+
+
+def test_the_text_of_a_merge_is_a_text():
+    assert parse_yaml("{'<<': '<<'}") == {"<<": "<<"}
+
+
 def test_what_is_written_is_read_as_the_same():
     texts = [
         "012",

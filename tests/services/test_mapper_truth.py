@@ -27,6 +27,7 @@ FIELDS = ["accuracy", "precision", "recall", "iou", "log_loss"]
 def looking_often(monkeypatch):
     """So that nothing takes a second."""
     monkeypatch.setattr(monitor_module, "LOOK_PERIOD", 0.01)
+    monkeypatch.setattr(monitor_module, "REST", 0.0)
     monkeypatch.setattr(series_module, "PERIOD", 0.0)
     monkeypatch.setattr(series_module, "REST", 0.0)
     monkeypatch.setattr(live_map_module, "FIGURES_PERIOD", 0.0)
@@ -114,6 +115,18 @@ def test_of_two_simulators_one_counts(mapper, eventually):
         heard = mapper.service._monitor.truth._read
         assert [text.decode() for text in heard] == told
     eventually(lambda: quality(mapper)["truth"] == expected[1])
+
+
+def test_so_many_answers_are_looked_at_whoever_gives_them(mapper, eventually, monkeypatch):
+    monkeypatch.setattr(zenoh_routes_module, "MAX_TOLD", 2)
+
+    def talk(query):
+        with query:
+            for k in range(5):
+                query.reply("ogm/v1/hall/truth", f"{{{k}: 0}}")
+
+    simulator(mapper.session, talk)
+    eventually(lambda: len(mapper.service._monitor.truth._read) == 2)
 
 
 def test_a_simulator_that_does_not_answer_holds_nobody_up(start_mapper, eventually, monkeypatch):

@@ -8,12 +8,13 @@ import pytest
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.quality.figures import map_figures
-from ogm_core.simulation.worlds import dump_world, lab
+from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import history as series_module
 from ogm_services.mapper.live import monitor as monitor_module
+from ogm_services.mapper.live import true_world as true_world_module
 from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.monitor import LOOK_PERIOD, Monitor
+from ogm_services.mapper.live.monitor import LOOK_PERIOD, REST, Monitor
 
 
 class Watched:
@@ -47,7 +48,7 @@ def watched(monkeypatch, eventually):
     watched.monitor.start(watched.ask)
     yield watched
     watched.monitor.stop()
-    assert "ogm-monitor" not in [thread.name for thread in threading.enumerate()]
+    assert not {"ogm-monitor", "ogm-truth"} & {thread.name for thread in threading.enumerate()}
 
 
 def test_it_samples_every_change_that_it_sees_and_nothing_before(watched, eventually):
@@ -113,6 +114,39 @@ def test_while_it_waits_for_the_network_the_map_is_written_and_read(watched, eve
     assert watched.live.quality(slow.truth.world)["scans"] == 1
     answered.set()
     slow.stop()
+
+
+def test_a_world_that_is_still_being_read_holds_nobody_up(watched, monkeypatch, eventually):
+    monkeypatch.setattr(monitor_module, "TRUTH_END", 0.01)
+    reading, go_on = threading.Event(), threading.Event()
+
+    def read(text):
+        reading.set()
+        assert go_on.wait(30.0)
+        return load_world(text)
+
+    monkeypatch.setattr(true_world_module, "load_world", read)
+    slow = Monitor(watched.live)
+    slow.start(lambda: [dump_world(lab()).encode()])
+    assert reading.wait(30.0)
+    watched.scan()
+    eventually(lambda: slow.series.columns("first")["revision"] == [1])  # it looks at the map meanwhile
+    slow.stop()
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "ogm-truth" and thread.daemon
+                 and thread in slow._threads]  # fmt: skip
+    go_on.set()
+    thread.join(30.0)
+    assert not thread.is_alive()
+    assert slow.truth.world is None  # what comes after the end does not count
+
+
+def test_simulators_are_asked_less_often_the_longer_their_worlds_take_to_read(watched, monkeypatch):
+    monkeypatch.setattr(monitor_module, "LOOK_PERIOD", 0.0)
+    clock = iter(range(1000))
+    monkeypatch.setattr(monitor_module.time, "monotonic", lambda: float(next(clock)))
+    monitor = Monitor(watched.live)
+    monitor._hear(list)
+    assert monitor._rest == REST * 1.0 == 10.0
 
 
 def test_one_that_was_never_started_can_be_stopped():

@@ -17,7 +17,11 @@ BAD = [
     b"circles: [[0, 0, -1]]",
     b"image: map.pgm",
     b"a: &a [*a]",
+    b"a: !!float " + b"1:" * 100_000 + b"1",
+    b"a0: &a0 {x: 1}\n"
+    + b"".join(b"a%d: &a%d {<<: [*a%d, *a%d]}\n" % (k, k, k - 1, k - 1) for k in range(1, 60)),
     b"a: " + b"[" * 200_000,
+    b"walls: [[0, 0, 1e300, 1]]",
     b"x" * 3_000_000,
 ]
 
@@ -83,7 +87,46 @@ def test_nonsense_that_changes_all_the_time_does_not_fill_the_log(truth, caplog)
     assert len(caplog.records) < 5
 
 
+class Payload:
+    """Bytes of somebody else: only their length is known until they are copied."""
+
+    def __init__(self, length):
+        self._length = length
+
+    def __len__(self):
+        return self._length
+
+    def __bytes__(self):
+        raise AssertionError("they are copied")
+
+
+def test_what_is_too_long_is_not_even_copied(truth, caplog):
+    truth.heard("e", [Payload(2**30), LAB])
+    assert dump_world(truth.world).encode() == LAB
+    assert "passed over: its 1073741824 bytes are more than 262144" in caplog.text
+
+
+def test_what_is_no_world_is_not_read_again_when_others_change(truth, read):
+    for other in (LAB, OFFICE, LAB):
+        truth.heard("e", [b"{}", other])
+    assert read.count("{}") == 1
+
+
+def test_the_log_repeats_no_name_without_end(truth, caplog):
+    texts = [LAB.replace(b"name: lab", b"name: " + letter * 100_000) for letter in (b"a", b"b")]
+    truth.heard("e", texts)
+    assert f"simulators: they tell 2 worlds; '{'a' * 64}' counts" in caplog.text
+
+
+def test_what_is_heard_after_the_end_does_not_count(truth):
+    truth.heard("e", [LAB])
+    truth.settle()
+    truth.heard("e", [OFFICE])
+    assert truth.world.name == "lab"
+
+
 def test_what_is_too_long_is_not_even_read(truth, read, caplog):
+    assert MAX_TRUTH_BYTES == 256 * 1024
     truth.heard("e", [LAB + b"#" * (MAX_TRUTH_BYTES - len(LAB))])
     assert truth.world is not None
     truth.heard("e", [LAB + b"#" * (MAX_TRUTH_BYTES + 1 - len(LAB))])

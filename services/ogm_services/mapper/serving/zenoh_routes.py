@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import islice
 
 import zenoh
 
@@ -13,6 +14,8 @@ from ogm_services.replies.queryables import Queryables
 QUERY_THREADS = 4
 TRUTH_TIMEOUT = 0.5
 """How long simulators may take to tell their world, s."""
+MAX_TOLD = 16
+"""So many answers about the true world are looked at, whoever gives them."""
 
 
 class ZenohRoutes:
@@ -46,8 +49,8 @@ class ZenohRoutes:
         declare(key("status"), answers.status)
         declare(key("reset"), reset_answer, exact=True)
 
-    def ask_truth(self) -> list[bytes]:
-        """What simulators of this map say their world is; [] at once if there is none.
+    def ask_truth(self) -> list[zenoh.ZBytes]:
+        """What simulators of this map say their world is, MAX_TOLD at most; [] at once if there is none.
 
         Waits for the network, up to TRUTH_TIMEOUT: never call it from a callback.
         """
@@ -58,7 +61,7 @@ class ZenohRoutes:
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=TRUTH_TIMEOUT,
         )
-        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+        return list(islice((reply.ok.payload for reply in replies if reply.ok is not None), MAX_TOLD))
 
     def close(self) -> None:
         """Undeclare everything; queries in hand are answered first."""
