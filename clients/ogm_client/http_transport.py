@@ -1,6 +1,7 @@
 """HTTP transport: a mapper reached over HTTP."""
 
 import io
+import re
 import time
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import NamedTuple
@@ -42,12 +43,17 @@ class HttpTransport:
     With a `map_name`, NobodyAnswered is raised where another map is served.
     """
 
-    def __init__(self, url: str, limits: Limits, map_name: str | None) -> None:
+    def __init__(self, url: str, limits: Limits, map_name: str | None, token: str | None = None) -> None:
         """Take the mapper's address, "http://host:port", and what an answer may take.
 
+        A `token` goes with what changes something.
+
         Raises:
-            BadSetting: it is not a URL, or the map's name is ill-formed.
+            BadSetting: it is not a URL, or the map's name or the token is ill-formed.
         """
+        if token is not None and not re.fullmatch(r"[\x21-\x7e]+", token):
+            raise BadSetting("token: letters, digits and signs without spaces are needed")
+        self._authorization = None if token is None else {"Authorization": f"Bearer {token}"}
         self._url = url
         self._limits = limits
         self._map_name = None if map_name is None else check_name(map_name, "map name")
@@ -79,7 +85,7 @@ class HttpTransport:
 
     def reset(self) -> None:
         """Empty the map."""
-        self._send("POST", "reset", {})
+        self._send("POST", "reset", {}, self._authorization)
 
     def close(self) -> None:
         """Close the connections; closing twice does nothing."""

@@ -53,6 +53,7 @@ class MapClient:
         timeout: float = DEFAULT_TIMEOUT,
         max_bytes: int = DEFAULT_MAX_BYTES,
         session: zenoh.Session | None = None,
+        token: str | None = None,
     ) -> None:
         """Connect to "http://host:port" or "https://...", or by Zenoh to an endpoint such as "tcp/host:port".
 
@@ -61,7 +62,8 @@ class MapClient:
         `map_name` None: the map "default" over Zenoh, over HTTP whichever is served there; one that is given
         must be the one served, else requests raise NobodyAnswered. An answer has to be there, to its last
         byte, `timeout` seconds after the question, and may have `max_bytes`, the cells of a map unpacked. An
-        open Zenoh `session` is used in place of `address`, and stays open.
+        open Zenoh `session` is used in place of `address`, and stays open. `token` is the mapper's
+        `http.token`, without which it may refuse `reset`; over Zenoh none is asked for.
 
         Raises:
             BadSetting: the address, the map's name, the timeout, `max_bytes` or the file is ill-formed, or
@@ -73,7 +75,8 @@ class MapClient:
         if isinstance(max_bytes, bool) or not isinstance(max_bytes, int) or max_bytes < 1:
             raise BadSetting(f"max_bytes: a positive whole number is needed, got {max_bytes!r}")
         self._max_bytes = max_bytes
-        self._transport = _transport(address, zenoh_config, map_name, Limits(timeout, max_bytes), session)
+        limits = Limits(timeout, max_bytes)
+        self._transport = _transport(address, zenoh_config, map_name, limits, session, token)
 
     def get_map(self, region: ArrayLike | None = None) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
@@ -167,6 +170,7 @@ def _transport(
     map_name: str | None,
     limits: Limits,
     session: zenoh.Session | None,
+    token: str | None,
 ) -> Transport:
     if session is not None and zenoh_config is not None:
         raise BadSetting("zenoh_config: an open session has a configuration already; give one of the two")
@@ -177,7 +181,7 @@ def _transport(
             # Here, because it loads httpx, which who speaks Zenoh need not wait for.
             from ogm_client.http_transport import HttpTransport
 
-            return HttpTransport(address, limits, map_name)
+            return HttpTransport(address, limits, map_name, token)
         if "://" in address or "/" not in address:
             raise BadSetting(
                 f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, "

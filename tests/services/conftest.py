@@ -113,7 +113,8 @@ def scan_fields(ranges=(1.0,), *, at=0, **fields):
 def running_mapper(**sections):
     """Run a mapper of the map MAP_NAME on free ports of loopback; sections as in the settings' file."""
     network = {"map_name": MAP_NAME, "listen": ["tcp/127.0.0.1:0"], **sections.pop("network", {})}
-    settings = Settings.model_validate({"network": network, "http": {"port": 0}, **sections})
+    http_settings = {"port": 0, **sections.pop("http", {})}
+    settings = Settings.model_validate({"network": network, "http": http_settings, **sections})
     with MapperService(settings) as service:
         endpoint, url = (line.split()[-1] for line in service.addresses)
         config = NetworkConfig(connect=(endpoint,))

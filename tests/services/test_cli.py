@@ -22,7 +22,7 @@ MAP_FLAGS = (
     "--clear-range --cells --bounds --outside --sensor"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
-HTTP_FLAGS = "--http-host --http-port"
+HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"
 MAPPER_FLAGS = "--start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = "--range-max --robot --odometry"

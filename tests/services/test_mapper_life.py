@@ -39,7 +39,7 @@ def refuse(_):
 def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
-    app = build_app(BrokenAnswers(), health, reset, Metrics())
+    app = build_app(BrokenAnswers(), health, reset, Metrics(), hosts=["mapper"])
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)

@@ -49,7 +49,7 @@ def test_a_page_of_another_origin_cannot_empty_the_map(cross, headers):
         {"Sec-Fetch-Site": "none"},
         {"Origin": "http://{host}"},
         {"Origin": "https://{host}"},
-        {"Origin": "http://Map.Example:80", "Host": "map.example:80"},
+        {"Origin": "http://LocalHost:80", "Host": "localhost:80"},
     ],
 )
 def test_programs_and_its_own_page_can(mapper, headers):

@@ -104,6 +104,7 @@ def test_a_higher_source_can_take_back_what_a_lower_one_set(load):
         ({"OGM_NETWORK__LISTEN": "tcp/a:1, tcp/b:2"}, "network", "listen", ("tcp/a:1", "tcp/b:2")),
         ({"OGM_NETWORK__CONNECT": ""}, "network", "connect", ()),
         ({"OGM_HTTP__PORT": "0"}, "http", "port", 0),
+        ({"OGM_HTTP__HOSTS": "map.example, mapper"}, "http", "hosts", ("map.example", "mapper")),
         ({"OGM_MAP__CLEAR_RANGE": "0"}, "map", "clear_range", 0.0),
     ],
 )
@@ -176,6 +177,9 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("map.bounds", "0,0,1_0,1", "XMIN,YMIN,XMAX,YMAX"),
         ("http.port", "65536", "less than or equal to 65535"),
         ("http.port", "-1", "greater than or equal to 0"),
+        ("http.hosts", "map.example:80", "names of hosts such as map.example.org are needed, without a port"),
+        ("http.hosts", "*.example", "names of hosts"),
+        ("http.token_file", "/nowhere/token", "file"),
         ("mapper.max_beams", "0", "greater than or equal to 1"),
         ("mapper.max_scan_cells", "0", "greater than or equal to 1"),
         ("mapper.max_memory", "0", "greater than or equal to 1"),
@@ -380,3 +384,65 @@ print([type(made).__name__ for made in gc.get_objects() if isinstance(made, Base
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
     )
     assert ended.stdout == "[]\n"
+
+
+TOKEN = "0123456789-._~+/=="
+
+
+@pytest.mark.parametrize(
+    "source", [{"env": {"OGM_HTTP__TOKEN": TOKEN}}, {"file": f"http: {{token: {TOKEN}}}"}]
+)
+def test_a_token_is_shown_nowhere_but_to_who_needs_it(load, source):
+    settings = load(**source)
+    assert settings.http.write_token() == TOKEN.encode()
+    for text in (
+        repr(settings),
+        str(settings),
+        settings.to_yaml(),
+        settings.model_dump_json(),
+        f"{settings.http}",
+    ):
+        assert "**********" in text
+        assert TOKEN not in text
+    assert load(file=settings.to_yaml(secrets=True)) == settings
+
+
+@pytest.mark.parametrize(
+    "token", ["", "short", "a" * 15, "a" * 513, "with a space in it", "ümlaute" * 3, "=" * 20]
+)
+def test_a_token_that_is_none_is_refused_and_not_shown(load, token):
+    with pytest.raises(BadSetting) as caught:
+        load(file=f"http: {{token: '{token}'}}")
+    text = str(caught.value)
+    assert text.startswith(
+        "http.token: a token of 16 to 512 letters, digits and - . _ ~ + / is needed (file "
+    )
+    assert not token or token not in text
+
+
+def test_a_number_is_no_token_and_is_not_shown(load):
+    with pytest.raises(BadSetting) as caught:
+        load(file="http: {token: 12345678901234567890}")
+    assert "12345" not in str(caught.value)
+
+
+def test_a_token_may_stand_in_a_file_of_its_own(load, tmp_path):
+    file = tmp_path / "token"
+    file.write_text(f" {TOKEN}\n")
+    settings = load(env={"OGM_HTTP__TOKEN_FILE": str(file)})
+    assert settings.http.write_token() == TOKEN.encode()
+    file.write_text("two words, which are none")
+    with pytest.raises(BadSetting, match=r"http\.token_file: .*token: a token of 16 to 512") as caught:
+        settings.http.write_token()
+    assert "words" not in str(caught.value)
+    file.unlink()
+    with pytest.raises(BadSetting, match="cannot be read: No such file"):
+        settings.http.write_token()
+
+
+def test_of_token_and_file_one_is_given(load, tmp_path):
+    file = tmp_path / "token"
+    file.write_text(TOKEN)
+    with pytest.raises(BadSetting, match=r"http\.token, http\.token_file: give one of the two"):
+        load(env={"OGM_HTTP__TOKEN": TOKEN, "OGM_HTTP__TOKEN_FILE": str(file)})
+    assert load(env={}).http.write_token() is None

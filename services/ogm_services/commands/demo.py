@@ -19,7 +19,7 @@ from ogm_core.status import ScanCounts
 from ogm_services.mapper.service import LIVE_MAP
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.signals import held_signals
-from ogm_services.settings.settings import Settings
+from ogm_services.settings.settings import HttpSettings, Settings
 from ogm_services.settings.sources import without_settings
 
 SHUTDOWN = 15.0
@@ -75,12 +75,15 @@ def _settings_files(settings: Settings, folder: Path) -> tuple[Path, Path]:
     listen = tuple(map(resolve_listen, network.for_mapper().listen))
     mapper_network = network.model_copy(update={"listen": listen})
     theirs = listen or listens_on(network.zenoh_config)
-    robot = {"listen": (), "connect": theirs, "zenoh_config": None} if theirs else {}
-    robot_network = network.model_copy(update=robot)
-    paths = folder / "mapper.yaml", folder / "robot.yaml"
-    for path, changed in zip(paths, (mapper_network, robot_network), strict=True):
-        path.write_text(settings.model_copy(update={"network": changed}).to_yaml(), encoding="utf-8")
-    return paths
+    there = {"listen": (), "connect": theirs, "zenoh_config": None} if theirs else {}
+    robot_network = network.model_copy(update=there)
+    mapper, robot = folder / "mapper.yaml", folder / "robot.yaml"
+    for_mapper = settings.model_copy(update={"network": mapper_network})
+    for_robot = settings.model_copy(update={"network": robot_network, "http": HttpSettings()})
+    mapper.touch(mode=0o600)  # it may hold a token
+    mapper.write_text(for_mapper.to_yaml(secrets=True), encoding="utf-8")
+    robot.write_text(for_robot.to_yaml(), encoding="utf-8")
+    return mapper, robot
 
 
 def _announced(mapper: Process) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.metadata
+import ipaddress
 import logging
 import socket
 import sys
@@ -133,6 +134,7 @@ class MapperService:
         grid = started_grid(settings, uuid.uuid4().hex)
         limits = settings.mapper
         self._settings = settings
+        self._token = settings.http.write_token()
         self._grid_settings = grid.settings
         self.memory = MemoryUse(limits.max_memory)
         self.live_map = LiveMap(grid, self.memory)
@@ -258,6 +260,11 @@ class MapperService:
         opening.callback(self._monitor.stop)
         self._monitor.start(routes.ask_truth)
         host, port = listener.getsockname()[:2]
+        if self._token is None and not ipaddress.ip_address(host).is_loopback:
+            log.warning(
+                "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file",
+                host,
+            )
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         self.addresses = [
             f"map      {network.map_name} on Zenoh at {zenoh_addresses}",
@@ -271,7 +278,12 @@ class MapperService:
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
-        app = build_app(self.answers, self._health, self.reset, self._metrics)
+        http = self._settings.http
+        app = build_app(
+            *(self.answers, self._health, self.reset, self._metrics),
+            hosts=(*http.hosts, http.host),
+            token=self._token,
+        )
         self._http_thread = HttpThread(app, listener)
         return self._http_thread
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ogm_core.errors import BadParameter, OgmError
+from ogm_core.errors import BadInput, BadParameter, OgmError
 
 Parameters = Mapping[str, str]
 
@@ -35,6 +35,24 @@ class CrossOrigin(OgmError):
     """A page of another origin asks a browser to change something here."""
 
     slug = "cross-origin"
+
+
+class BadHost(BadInput):
+    """A request's Host is no name and no address."""
+
+    slug = "bad-host"
+
+
+class ForeignHost(OgmError):
+    """A request asks for a host that is not this one."""
+
+    slug = "misdirected"
+
+
+class Unauthorized(OgmError):
+    """A request that may change something does not carry the token that it needs."""
+
+    slug = "unauthorized"
 
 
 class Busy(OgmError):

@@ -4,7 +4,15 @@ import http
 import json
 
 from ogm_core.errors import BadInput, MapEmpty, OgmError
-from ogm_services.replies.answer import Busy, Changed, CrossOrigin, Unavailable, UnknownName
+from ogm_services.replies.answer import (
+    Busy,
+    Changed,
+    CrossOrigin,
+    ForeignHost,
+    Unauthorized,
+    Unavailable,
+    UnknownName,
+)
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -13,7 +21,9 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (MapEmpty, 404),
     (UnknownName, 404),
     (BadInput, 400),
+    (Unauthorized, 401),
     (CrossOrigin, 403),
+    (ForeignHost, 421),
     (Changed, 412),
     (Busy, 503),
     (Unavailable, 503),

@@ -174,6 +174,19 @@ class HttpFlags(_SettingFlags):
     port: Annotated[
         str | None, _setting("http", "port", "PORT", "Port to serve HTTP on, 0 for any free one")
     ] = None
+    hosts: Annotated[
+        str | None,
+        _setting(
+            "http",
+            "hosts",
+            "NAMES",
+            "Names that HTTP is asked by, besides the machine's own, separated by commas",
+        ),
+    ] = None
+    token_file: Annotated[
+        str | None,
+        _setting("http", "token_file", "FILE", "File with the bearer token that guards writes over HTTP"),
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,9 @@ from pydantic import (
     ConfigDict,
     Field,
     FilePath,
+    SecretStr,
+    SerializationInfo,
+    field_serializer,
     field_validator,
     model_validator,
 )
@@ -36,10 +39,13 @@ from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
     LOWER_CASE,
     NONE,
+    TOKEN,
+    TOKEN_FORM,
     Bounds,
     Count,
     Endpoints,
     Finite,
+    HostNames,
     LogFormat,
     LogLevel,
     NotNegative,
@@ -47,6 +53,7 @@ from ogm_services.settings.values import (
     PositiveOrInfinite,
     Preset,
     Probability,
+    Token,
     WholeNumber,
 )
 
@@ -55,6 +62,10 @@ DEFAULT_MAX_MEMORY = 3 * DEFAULT_MAX_BYTES
 
 if TYPE_CHECKING:
     from ogm_client.session import NetworkConfig
+
+
+SECRETS = "secrets"
+"""Key of a serialisation's context: whether secrets are written out."""
 
 
 class _Section(BaseModel):
@@ -129,10 +140,46 @@ class NetworkSettings(_Section):
 
 
 class HttpSettings(_Section):
-    """Where the mapper serves HTTP; port 0 picks a free one."""
+    """Where the mapper serves HTTP, under which names, and the token that guards writes.
+
+    Port 0 picks a free one. `hosts` are names besides the machine's own. `token_file` holds the token, on one
+    line; a relative path starts at the working folder.
+    """
 
     host: str = "127.0.0.1"
     port: Annotated[WholeNumber, Field(ge=0, le=65535)] = 8000
+    hosts: HostNames = ()
+    token: Annotated[Token | None, NONE] = None
+    token_file: Annotated[FilePath | None, NONE] = None
+
+    @model_validator(mode="after")
+    def _one_token(self) -> Self:
+        if self.token is not None and self.token_file is not None:
+            raise BadSetting("http.token, http.token_file: give one of the two")
+        return self
+
+    @field_serializer("token")
+    def _masked(self, token: SecretStr | None, info: SerializationInfo) -> str | None:
+        told = info.context is not None and info.context.get(SECRETS)
+        return None if token is None else token.get_secret_value() if told else str(token)
+
+    def write_token(self) -> bytes | None:
+        """The token that writes over HTTP must carry; None if they need none.
+
+        Raises:
+            BadSetting: the file of the token cannot be read, or holds none.
+        """
+        if self.token_file is None:
+            return None if self.token is None else self.token.get_secret_value().encode()
+        try:
+            token = self.token_file.read_bytes().strip()
+        except OSError as error:
+            raise BadSetting(
+                f"http.token_file: {self.token_file}: cannot be read: {error.strerror}"
+            ) from None
+        if not TOKEN.fullmatch(token.decode("latin-1")):
+            raise BadSetting(f"http.token_file: {self.token_file}: {TOKEN_FORM} is needed, on one line")
+        return token
 
 
 class MapperSettings(_Section):
@@ -220,9 +267,12 @@ class Settings(BaseModel):
         """What is known of the sensors, the first to look at first."""
         return [sensor.rule() for sensor in self.sensors]
 
-    def to_yaml(self) -> str:
-        """Every setting that was given, as a file from which `load_settings` makes equal settings."""
-        return dump_yaml(self.model_dump(mode="json", exclude_unset=True))
+    def to_yaml(self, *, secrets: bool = False) -> str:
+        """Every setting that was given, as a file from which `load_settings` makes equal settings.
+
+        Without `secrets` the token is masked, and is to be given anew.
+        """
+        return dump_yaml(self.model_dump(mode="json", exclude_unset=True, context={SECRETS: secrets}))
 
 
 def is_npz(start_map: Path) -> bool:

@@ -23,6 +23,9 @@ SENSORS = "sensors"
 RENAMED = {("map", "model"): ("map", "sensor_model")}
 """Former names of settings: they hold for one release, and say so."""
 
+SECRET = frozenset({("http", "token")})
+"""Their values are shown nowhere."""
+
 
 class _Given(NamedTuple):
     """A value as some source gives it, and how the user knows that source."""
@@ -212,4 +215,5 @@ def _in_words(problem: ErrorDetails, given: _Source) -> str:
     section, key = str(problem["loc"][0]), str(problem["loc"][1])
     value, source = given[section, key]
     message = problem["msg"].removeprefix("Value error, ")
-    return f"{section}.{key}: {message[0].lower()}{message[1:]}, got {value!r} ({source})"
+    got = "" if (section, key) in SECRET else f", got {value!r}"
+    return f"{section}.{key}: {message[0].lower()}{message[1:]}{got} ({source})"

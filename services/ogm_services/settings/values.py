@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, SecretStr
 
 from ogm_core.lattice import Region
 from ogm_core.types import Pose
@@ -37,6 +37,12 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 
 _NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
+
+
+_NAME_OF_HOST = re.compile(r"[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*\.?")
+TOKEN = re.compile(r"[A-Za-z0-9\-._~+/]{16,512}=*")
+"""A bearer token (RFC 6750, section 2.1); shorter ones are soon guessed."""
+TOKEN_FORM = "a token of 16 to 512 letters, digits and - . _ ~ + /"
 
 
 def parse_number(text: str) -> float:
@@ -119,6 +125,18 @@ def _endpoint(value: str) -> str:
     return value
 
 
+def _host_name(value: str) -> str:
+    if not _NAME_OF_HOST.fullmatch(value):
+        raise ValueError("names of hosts such as map.example.org are needed, without a port")
+    return value
+
+
+def _token(value: SecretStr) -> SecretStr:
+    if not TOKEN.fullmatch(value.get_secret_value()):
+        raise ValueError(f"{TOKEN_FORM} is needed")
+    return value
+
+
 def _lower_case(value: object) -> object:
     return value.lower() if isinstance(value, str) else value
 
@@ -136,4 +154,8 @@ WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]
 Count = Annotated[WholeNumber, Field(ge=1)]
 Bounds = Annotated[Region, BeforeValidator(parse_region)]
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
+HostNames = Annotated[
+    tuple[Annotated[str, AfterValidator(_host_name)], ...], BeforeValidator(_list_from_text)
+]
+Token = Annotated[SecretStr, AfterValidator(_token)]
 Endpoints = Annotated[tuple[Endpoint, ...], BeforeValidator(_list_from_text)]

@@ -24,7 +24,9 @@ from ogm_services.mapper.serving.api_description import (
     probe_responses,
     responses,
 )
+from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.known_hosts import KnownHosts
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
@@ -76,8 +78,19 @@ class _WithoutUnheard:
         await self._app(scope, receive, send)
 
 
-def build_app(answers: Answers, health: Health, reset: Callable[[str], None], metrics: Metrics) -> FastAPI:
-    """Make the application; nothing is computed before a request comes."""
+def build_app(
+    answers: Answers,
+    health: Health,
+    reset: Callable[[str], None],
+    metrics: Metrics,
+    *,
+    hosts: Sequence[str] = (),
+    token: bytes | None = None,
+) -> FastAPI:
+    """Make the application; nothing is computed before a request comes.
+
+    `hosts` are names by which it is asked, besides the machine's own; with a `token` writes must carry it.
+    """
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
         title="zenoh-ogm mapper",
@@ -86,10 +99,12 @@ def build_app(answers: Answers, health: Health, reset: Callable[[str], None], me
         redoc_url=None,
     )
     ready = ReadyMaps(answers)
+    app.add_middleware(BearerToken, token=token)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
     app.add_middleware(_WithoutUnheard)
+    app.add_middleware(KnownHosts, names=hosts)
     # The last one is the first that a request meets.
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
     for form, wanted in MAP_FORMATS.items():
