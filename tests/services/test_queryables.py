@@ -7,8 +7,10 @@ import pytest
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
+from ogm_services.replies import turns as turns_module
 from ogm_services.replies.answer import Answer
-from ogm_services.replies.queryables import MAX_WAITING, Queryables
+from ogm_services.replies.queryables import Queryables
+from ogm_services.replies.turns import MAX_WAITING, Turns
 
 KEY = "ogm/v1/hall/slow"
 DEADLINE = 20.0
@@ -20,8 +22,8 @@ class SlowService:
     def __init__(self, session):
         self.go_on = threading.Event()
         self.begun = 0
-        self.queryables = Queryables(session, threads=2)
-        self.queryables.declare(KEY, self._answer)
+        self.turns, self.queryables = Turns("test", threads=2), Queryables(session)
+        self.queryables.declare(KEY, self._answer, self.turns)
 
     def _answer(self, given):
         self.begun += 1
@@ -35,6 +37,7 @@ def service(listener):
     yield service
     service.go_on.set()
     service.queryables.close()
+    service.turns.close()
 
 
 @pytest.fixture
@@ -63,7 +66,7 @@ def test_past_so_many_that_wait_queries_are_refused_at_once_and_all_others_answe
         assert str(reply.err.encoding) == "application/problem+json"
         problem = json.loads(reply.err.payload.to_bytes())
         assert (problem["type"], problem["status"], problem["title"]) == ("busy", 503, "Service Unavailable")
-        assert problem["detail"] == f"{KEY}: 64 queries wait for an answer already: try again later"
+        assert problem["detail"] == "64 others wait for test already: try again later"
     assert service.begun == 2
     service.go_on.set()
     eventually(lambda: len(replies) == room + 3, DEADLINE)
@@ -75,8 +78,24 @@ def test_past_so_many_that_wait_queries_are_refused_at_once_and_all_others_answe
 
 
 def test_a_query_of_a_service_that_stops_is_told(service, ask, eventually):
-    service.queryables._pool.shutdown()
+    service.turns.close()
     replies = ask(0)
     eventually(lambda: len(replies) == 1, DEADLINE)
     problem = json.loads(replies[0].err.payload.to_bytes())
-    assert (problem["type"], problem["detail"]) == ("unavailable", f"{KEY}: the service is stopping")
+    assert (problem["type"], problem["detail"]) == ("unavailable", "the service is stopping")
+
+
+def test_who_waits_too_long_is_told_while_all_threads_are_busy(service, ask, eventually, monkeypatch):
+    monkeypatch.setattr(turns_module, "PATIENCE", 0.3)
+    for number in range(2):
+        ask(number)
+    eventually(lambda: service.begun == 2, DEADLINE)
+    for number in range(2, 5):
+        replies = ask(number)
+    eventually(lambda: len(replies) == 3, DEADLINE)
+    for reply in replies:
+        problem = json.loads(reply.err.payload.to_bytes())
+        assert (problem["type"], problem["status"]) == ("busy", 503)
+    service.go_on.set()
+    eventually(lambda: len(replies) == 5, DEADLINE)
+    assert service.begun == 2

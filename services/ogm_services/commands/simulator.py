@@ -25,6 +25,7 @@ from ogm_core.wire.keys import MAX_TRUTH_BYTES, MapKeys
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
+from ogm_services.replies.turns import Turns
 from ogm_services.settings.settings import NetworkSettings
 
 SENSOR = "laser"
@@ -132,9 +133,10 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
             for robot in simulation.robots
         }
         _refuse_namesakes(session, keys, simulation.robots, run)
-        queryables = Queryables(session, threads=1)
+        turns, queryables = Turns("truth", threads=1), Queryables(session)
+        opening.callback(turns.close)
         opening.callback(queryables.close)
-        queryables.declare(keys.truth, truth)
+        queryables.declare(keys.truth, truth, turns)
         _wait_for_mapper(robots[simulation.robots[0]])
         typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
         for step in _ticks(options):

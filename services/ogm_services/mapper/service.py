@@ -39,12 +39,13 @@ from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
-from ogm_services.mapper.serving.http_routes import build_app
+from ogm_services.mapper.serving.http_routes import MAX_WAITING, build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.load_metrics import queue_metrics
 from ogm_services.mapper.serving.measurements import TimedSink
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
+from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.compilation import compiling_until
@@ -250,6 +251,8 @@ class MapperService:
         )
         opening.callback(subscriber.close)
         others.claim()
+        self._http_shares = Shares(MAX_WAITING)
+        opening.callback(self._http_shares.close)
         opening.enter_context(self._http(listener))
         routes.declare(self.answers, self.reset)
         _warm_up(self._grid_settings)
@@ -283,6 +286,7 @@ class MapperService:
             *(self.answers, self._health, self.reset, self._metrics),
             hosts=(*http.hosts, http.host),
             token=self._token,
+            shares=self._http_shares,
         )
         self._http_thread = HttpThread(app, listener)
         return self._http_thread

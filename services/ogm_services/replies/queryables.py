@@ -1,20 +1,18 @@
 """Queryables on Zenoh that are never silent: a query gets an answer on a concrete key, or is told why not."""
 
 import logging
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import ExitStack
+from functools import partial
 
 import msgpack
 import zenoh
 
 from ogm_core.errors import BadParameter, OgmError
-from ogm_services.replies.answer import Answer, Busy, Parameters, Unavailable
+from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of
-
-MAX_WAITING = 64
-"""Queries that may wait for a thread; past it they are refused at once."""
+from ogm_services.replies.turns import Turns
 
 log = logging.getLogger(__name__)
 
@@ -22,18 +20,18 @@ log = logging.getLogger(__name__)
 class Queryables:
     """The queryables of a service on a session, until `close`.
 
-    Zenoh's threads call the callbacks, which only hand their query to a pool of `threads`, so that no link
-    ever waits for an answer to be made. MAX_WAITING of them may wait for the pool; more are refused as busy.
+    Zenoh's threads call the callbacks, which only hand their query to the threads of a share, so that no link
+    ever waits for an answer to be made.
     """
 
-    def __init__(self, session: zenoh.Session, threads: int) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._declared = ExitStack()
-        self._pool = ThreadPoolExecutor(threads, "ogm-query")
-        self._room = threading.BoundedSemaphore(threads + MAX_WAITING)
 
-    def declare(self, key: str, answer: Callable[[Parameters], Answer], *, exact: bool = False) -> None:
-        """Answer queries of `key`; an OgmError that `answer` raises is told.
+    def declare(
+        self, key: str, answer: Callable[[Parameters], Answer], turns: Turns, *, exact: bool = False
+    ) -> None:
+        """Answer queries of `key` as their turn comes; an OgmError that `answer` raises is told.
 
         With `exact`, a query of any other key expression that matches is refused.
         """
@@ -45,38 +43,22 @@ class Queryables:
             return answer(_parameters(query))
 
         def callback(query: zenoh.Query) -> None:
-            if not self._room.acquire(blocking=False):
-                _refuse(
-                    query, Busy(f"{key}: {MAX_WAITING} queries wait for an answer already: try again later")
-                )
-                return
-            try:
-                answered = self._pool.submit(_reply, query, key, checked)
-            except RuntimeError:  # the pool takes no more
-                self._room.release()
-                _refuse(query, Unavailable(f"{key}: the service is stopping"))
-            else:
-                answered.add_done_callback(lambda _: self._room.release())
+            outcome = turns.take(partial(checked, query))
+            outcome.add_done_callback(partial(_reply, query, key))
 
         handler = zenoh.handlers.Callback(callback, indirect=False)
         self._declared.push(self._session.declare_queryable(key, handler, complete=False))
 
     def close(self) -> None:
-        """Undeclare them; queries in hand are answered first."""
+        """Undeclare them; queries in hand are answered by who closes their turns."""
         self._declared.close()
-        self._pool.shutdown()
 
 
-def _refuse(query: zenoh.Query, error: OgmError) -> None:
-    with query:
-        query.reply_err(problem_of(error), encoding=MEDIA_TYPE)
-
-
-def _reply(query: zenoh.Query, key: str, answer: Callable[[zenoh.Query], Answer]) -> None:
+def _reply(query: zenoh.Query, key: str, outcome: "Future[Answer]") -> None:
     """Answer a query on its concrete key; every failure is told."""
     with query:
         try:
-            reply = answer(query)
+            reply = outcome.result()
         except OgmError as error:
             query.reply_err(problem_of(error), encoding=MEDIA_TYPE)
         except Exception:

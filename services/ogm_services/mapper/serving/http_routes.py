@@ -1,15 +1,17 @@
 """The mapper on HTTP: a FastAPI application over `Answers`. It knows names, bytes and headers, and no map."""
 
+import asyncio
 import importlib.metadata
 import logging
 from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from importlib.resources import files
+from typing import TypeVar
 from urllib.parse import unquote_plus
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
 from fastapi_offline import FastAPIOffline
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -32,16 +34,21 @@ from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.same_origin import SameOrigin
-from ogm_services.replies.answer import Answer, Parameters, Starting
+from ogm_services.mapper.serving.shares import Shares
+from ogm_services.replies.answer import Answer, Busy, Parameters, Unavailable
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
+from ogm_services.replies.turns import Turns
 
 UNHEARD = "t"
 """Query parameter that viewers add, with a new value each time, lest a cache answers them."""
 RETRY_AFTER = "2"
-"""When to ask a mapper again that is starting, s."""
+"""When to ask a mapper again that is starting or busy, s."""
+MAX_WAITING = 256
+"""So many requests of a share may wait for their turn."""
 
 log = logging.getLogger(__name__)
 Handler = Callable[[Request], Awaitable[Response]]
+_T = TypeVar("_T")
 
 
 class _NoStore:
@@ -86,11 +93,14 @@ def build_app(
     *,
     hosts: Sequence[str] = (),
     token: bytes | None = None,
+    shares: Shares | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
 
     `hosts` are names by which it is asked, besides the machine's own; with a `token` writes must carry it.
+    Its threads are those of `shares`, which belong to the caller.
     """
+    shares = shares or Shares(MAX_WAITING)
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
         title="zenoh-ogm mapper",
@@ -108,15 +118,15 @@ def build_app(
     # The last one is the first that a request meets.
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
     for form, wanted in MAP_FORMATS.items():
-        handler, summary = _map_handler(answers, ready, form), f"The map as {form.upper()}"
+        handler, summary = _map_handler(shares.maps, answers, ready, form), f"The map as {form.upper()}"
         described = map_responses(wanted.media_type)
         _get(app, f"/map.{form}", handler, described, summary, sorted(wanted.parameters))
-    _get(app, "/cell", _handler(answers.cell), responses("application/json"), "One cell", ["x", "y"])
-    _get(app, "/quality", _handler(answers.quality), responses("application/json"), "The quality figures")
-    _get(
-        app, "/status", _handler(answers.status), responses("application/json", Status), "The mapper's status"
-    )
-    _add_service_routes(app, answers, health, metrics, version)
+    maps, plain = shares.maps, responses("application/json")
+    _get(app, "/cell", _handler(maps, answers.cell), plain, "One cell", ["x", "y"])
+    _get(app, "/quality", _handler(maps, answers.quality), plain, "The quality figures")
+    status = _handler(shares.status, answers.status)
+    _get(app, "/status", status, responses("application/json", Status), "The mapper's status")
+    _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     described = responses("application/json", Status, problems=(401, 403, 413, 503))
 
@@ -124,8 +134,8 @@ def build_app(
     async def post_reset(request: Request) -> Response:
         _parameters_of(request, allowed=False)
         who = request.client.host if request.client else "somebody"
-        await run_in_threadpool(reset, f"{who} over HTTP")
-        return _plain(await run_in_threadpool(answers.status, {}))
+        await _in_turn(shares.writes, partial(reset, f"{who} over HTTP"))
+        return _plain(await _in_turn(shares.status, partial(answers.status, {})))
 
     app.add_exception_handler(OgmError, _ogm_error)
     app.add_exception_handler(HTTPException, _http_error)
@@ -134,7 +144,7 @@ def build_app(
 
 
 def _add_service_routes(
-    app: FastAPI, answers: Answers, health: Health, metrics: Metrics, version: str
+    app: FastAPI, turns: Turns, answers: Answers, health: Health, metrics: Metrics, version: str
 ) -> None:
     page = files("ogm_services.mapper.serving").joinpath("page/index.html").read_text("utf-8")
 
@@ -148,7 +158,7 @@ def _add_service_routes(
         return _probe(health.not_ready())
 
     async def show_metrics(_: Request) -> Response:
-        text = await run_in_threadpool(lambda: metrics.text(answers.current_status()))
+        text = await _in_turn(turns, lambda: metrics.text(answers.current_status()))
         return PlainTextResponse(text, media_type=METRICS_TYPE)
 
     async def show_version(_: Request) -> Response:
@@ -181,16 +191,21 @@ def _get(
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 
 
-def _handler(answer: Callable[[Parameters], Answer]) -> Handler:
+async def _in_turn(turns: Turns, answer: Callable[[], _T]) -> _T:
+    """What `answer` returns, made by a thread of that share; Busy if its turn does not come soon."""
+    return await asyncio.wrap_future(turns.take(answer))
+
+
+def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:
     async def handle(request: Request) -> Response:
-        return _plain(await run_in_threadpool(answer, _parameters_of(request)))
+        return _plain(await _in_turn(turns, partial(answer, _parameters_of(request))))
 
     return handle
 
 
-def _map_handler(answers: Answers, ready: ReadyMaps, form: str) -> Handler:
+def _map_handler(turns: Turns, answers: Answers, ready: ReadyMaps, form: str) -> Handler:
     async def handle(request: Request) -> Response:
-        answer = await run_in_threadpool(answers.map, form, _parameters_of(request))
+        answer = await _in_turn(turns, partial(answers.map, form, _parameters_of(request)))
         return ready.keep(request, answer)
 
     return handle
@@ -215,7 +230,7 @@ def _probe(trouble: str | None) -> Response:
 
 async def _ogm_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, OgmError)
-    later = {"Retry-After": RETRY_AFTER} if isinstance(error, Starting) else None
+    later = {"Retry-After": RETRY_AFTER} if isinstance(error, Busy | Unavailable) else None
     return Response(problem_of(error), status_of(error), later, MEDIA_TYPE)
 
 

@@ -8,10 +8,10 @@ import zenoh
 
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
 
-QUERY_THREADS = 4
 TRUTH_TIMEOUT = 0.5
 """How long simulators may take to tell their world, s."""
 MAX_TOLD = 16
@@ -21,14 +21,14 @@ MAX_TOLD = 16
 class ZenohRoutes:
     """What a mapper declares on a session to be asked, until `close`.
 
-    Zenoh's threads call the callbacks, which hand their query to a small pool.
+    Zenoh's threads call the callbacks, which hand their query to the threads of its share.
     """
 
     def __init__(self, session: zenoh.Session, keys: MapKeys) -> None:
         self._session = session
         self._keys = keys
         self._declared = ExitStack()
-        self._queryables = Queryables(session, QUERY_THREADS)
+        self._queryables = Queryables(session)
 
     def declare(self, answers: Answers, reset: Callable[[str], None]) -> None:
         """Declare the queryables: from here on every question gets an answer."""
@@ -41,13 +41,15 @@ class ZenohRoutes:
             reset("somebody over Zenoh")
             return answers.status({})
 
+        shares = Shares()
+        self._declared.callback(shares.close)
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
-        declare(key("map"), map_answer)
-        declare(key("cell"), answers.cell)
-        declare(key("quality"), answers.quality)
-        declare(key("status"), answers.status)
-        declare(key("reset"), reset_answer, exact=True)
+        declare(key("map"), map_answer, shares.maps)
+        declare(key("cell"), answers.cell, shares.maps)
+        declare(key("quality"), answers.quality, shares.maps)
+        declare(key("status"), answers.status, shares.status)
+        declare(key("reset"), reset_answer, shares.writes, exact=True)
 
     def ask_truth(self) -> list[zenoh.ZBytes]:
         """What simulators of this map say their world is, MAX_TOLD at most; [] at once if there is none.
@@ -64,5 +66,5 @@ class ZenohRoutes:
         return list(islice((reply.ok.payload for reply in replies if reply.ok is not None), MAX_TOLD))
 
     def close(self) -> None:
-        """Undeclare everything; queries in hand are answered first."""
+        """Undeclare everything; queries in hand are answered first, those that wait are refused."""
         self._declared.close()
