@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.model import row_bands
 from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import CellRect
 from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
 from ogm_core.sensor_models import beams
@@ -21,6 +23,8 @@ JUDGED_SHORTER_THAN = 15.0
 CAST_UP_TO = 25.0
 BEAMS_IN_A_ROW = 4096
 """Judged without a look at whether anybody still waits: a fraction of a second, even of the longest beams."""
+BAND = 64
+"""Rows that are judged together where not all can be."""
 JUDGED_HITS = 32
 """Hits of a scan that `agreement_of_hits` looks at."""
 DECIDED = 0.6
@@ -32,16 +36,42 @@ def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
 
     H = -sum(p log2 p + (1 - p) log2(1 - p)). Free and occupied are those of the trinary map.
     """
-    values, counts = snapshot.model.levels(snapshot.stored)
+    return _figures_of_levels(*snapshot.model.levels(snapshot.stored), snapshot.lattice.resolution**2)
+
+
+def map_figures_within(snapshot: MapSnapshot, visits: int) -> tuple[dict[str, Any], float, int]:
+    """The same at the cost of so many visits of cells: figures, share of the rows judged, visits spent.
+
+    A map of more cells is judged by bands of rows, evenly spread over it; sums are those of the bands, in
+    proportion.
+    """
+    cells, height = snapshot.width * snapshot.height, snapshot.height
+    if cells <= visits:
+        return map_figures(snapshot), 1.0, cells
+    every = -(-cells // visits)
+    rows = max(1, min(BAND, height // every))
+    bands = [slice(row, min(row + rows, height)) for row in range(0, height - rows + 1, rows * every)]
+    judged = sum(band.stop - band.start for band in bands)
+    everywhere = slice(None)
+    levels = [snapshot.model.levels(snapshot.stored.part(band, everywhere)) for band in bands]
+    values, counts = (np.concatenate(part) for part in zip(*levels, strict=True))
+    share = judged / height
+    figures = _figures_of_levels(values, counts, snapshot.lattice.resolution**2, share)
+    return figures, share, judged * snapshot.width
+
+
+def _figures_of_levels(
+    values: NDArray[np.float64], counts: NDArray[np.int64], cell: float, share: float = 1.0
+) -> dict[str, Any]:
+    """Figures of cells of so many m2 that have these probabilities, so often; they are `share` of the map."""
     known = int(counts.sum())
     entropy = float((counts * _entropy(values)).sum())
-    cell = snapshot.lattice.resolution**2
     return {
-        "entropy_bits": entropy,
+        "entropy_bits": entropy / share,
         "mean_entropy_bits": entropy / known if known else None,
-        "known_m2": known * cell,
-        "free_m2": int(counts[values < FREE_BELOW].sum()) * cell,
-        "occupied_m2": int(counts[values > OCCUPIED_ABOVE].sum()) * cell,
+        "known_m2": known * cell / share,
+        "free_m2": int(counts[values < FREE_BELOW].sum()) * cell / share,
+        "occupied_m2": int(counts[values > OCCUPIED_ABOVE].sum()) * cell / share,
     }
 
 
@@ -58,12 +88,18 @@ def quality_figures(snapshot: MapSnapshot, consistency: "Consistency", cell_upda
 class Consistency:
     """Share of hit end cells with p > 0.5, and of traversed cells with p < 0.5, in a finished map."""
 
-    def __init__(self, snapshot: MapSnapshot, settings: GridSettings) -> None:
+    def __init__(
+        self, snapshot: MapSnapshot, settings: GridSettings, window: CellRect | None = None, every: int = 1
+    ) -> None:
+        """Begin with no scan. Only cells in `window`, which lies in the map, are judged, if it is given.
+
+        Of each scan one beam in `every` is judged.
+        """
+        self._every = every
         self._settings = settings
         self._snapshot = snapshot
-        self._beliefs = snapshot.encode(_side_of_half)
-        self._dropping = settings.bounds_rect if settings.outside == "drop" else None
-        """The bounds, if beams that leave them are not in the map."""
+        self._window = window or snapshot.rect
+        self._beliefs = (snapshot if window is None else _cut(snapshot, window)).encode(_side_of_half)
         self._counts = np.zeros(4, np.int64)
 
     def add(self, placed: PlacedScan, between: Callable[[], None] = lambda: None) -> None:
@@ -71,18 +107,36 @@ class Consistency:
 
         Calls `between` every BEAMS_IN_A_ROW beams; what that raises ends it, with the scan judged in part.
         """
-        ends = project(placed, self._snapshot.lattice, self._settings).ends
-        if self._dropping is not None:
-            beams.drop_outside(ends, *self._dropping)
+        ends = ends_in_map(placed, self._snapshot, self._settings)[:, :: self._every]
         for first in range(0, ends.shape[1], BEAMS_IN_A_ROW):
             between()
             some = np.ascontiguousarray(ends[:, first : first + BEAMS_IN_A_ROW])
-            self._counts += agreement.agreement(some, self._snapshot.rect, self._beliefs)
+            self._counts += agreement.agreement(some, self._window, self._beliefs)
+
+    @property
+    def visited(self) -> int:
+        """How many cells were looked at."""
+        return int(self._counts[0] + self._counts[2])
 
     def figures(self) -> dict[str, float | None]:
         """The shares, None where nothing was judged."""
         hits, occupied, passed, free = map(int, self._counts)
         return {"hits": occupied / hits if hits else None, "free": free / passed if passed else None}
+
+
+def ends_in_map(placed: PlacedScan, snapshot: MapSnapshot, settings: GridSettings) -> NDArray[np.int64]:
+    """The ends of a scan's beams (see sensor_models.beams), without those that are not in the map."""
+    ends = project(placed, snapshot.lattice, settings).ends
+    if settings.outside == "drop" and settings.bounds_rect is not None:
+        beams.drop_outside(ends, *settings.bounds_rect)
+    return ends
+
+
+def _cut(snapshot: MapSnapshot, window: CellRect) -> MapSnapshot:
+    """The cells of a window that lies in the map."""
+    column, row = window.ix - snapshot.rect.ix, window.iy - snapshot.rect.iy
+    part = snapshot.stored.part(slice(row, row + window.height), slice(column, column + window.width))
+    return replace(snapshot, stored=part, offset=(window.ix, window.iy))
 
 
 def agreement_of_hits(snapshot: MapSnapshot, scan: Scan, pose: Pose) -> tuple[int, int]:

@@ -4,8 +4,9 @@ A cell is truly occupied if the outline of an obstacle meets its closed square, 
 between two cells makes both occupied.
 """
 
+import operator
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from ogm_core.snapshot import MapSnapshot
 
 SLACK = 1e-9
 """By how much a cell's square is widened on every side, cells: what rounding may move an outline by."""
+BAND = 64
+"""Rows that are judged together where not all can be."""
 _KNOWN, _OCCUPIED = 1, 2
 _PIECE = 2**18
 """Rows, or cells, of outlines that are worked on in one go: bounds the memory."""
@@ -45,18 +48,81 @@ def truth_figures(snapshot: MapSnapshot, world: World) -> dict[str, float | None
 
     Truly occupied cells are also those beside the map's rectangle, so its cut changes nothing.
     """
-    ix, iy, width, height = snapshot.rect
-    truth = occupied_cells(world, snapshot.lattice, CellRect(ix - 1, iy - 1, width + 2, height + 2))
-    known, right, loss = _agreement(snapshot, truth[1:-1, 1:-1])
-    occupied, found, looked_at, seen = _matches(snapshot, truth)
-    missed = looked_at - seen
+    return _in_figures(_counts_of(snapshot, world, 0, snapshot.height))
+
+
+def truth_figures_within(
+    snapshot: MapSnapshot, world: World, visits: int
+) -> tuple[dict[str, float | None] | None, float, int]:
+    """The same at the cost of so many visits of cells: figures, share of the rows judged, visits spent.
+
+    A map that costs more is judged by bands of rows spread over it, in which a cell, and a cell of an
+    outline, costs a visit; the figures are None if not one band can be had for that.
+    """
+    bands = [slice(row, min(row + BAND, snapshot.height)) for row in range(0, snapshot.height, BAND)]
+    costs = [_cost(snapshot, world, band) for band in bands] if bands else []
+    if sum(costs) <= visits:
+        return truth_figures(snapshot, world), 1.0, sum(costs)
+    total, spent, rows = _Counts(), 0, 0
+    every = -(-sum(costs) // max(visits, 1))
+    for band, cost in list(zip(bands, costs, strict=True))[::every]:
+        if spent + cost <= visits:
+            counts = _counts_of(snapshot, world, band.start, band.stop)
+            total = _Counts(*map(operator.add, total, counts))
+            spent, rows = spent + cost, rows + band.stop - band.start
+    return _in_figures(total) if rows else None, rows / snapshot.height, spent
+
+
+class _Counts(NamedTuple):
+    """Known cells, those on the true side of one half, their summed log loss; cells as `_matches` counts."""
+
+    known: int = 0
+    right: int = 0
+    loss: float = 0.0
+    occupied: int = 0
+    found: int = 0
+    looked_at: int = 0
+    seen: int = 0
+
+
+def _in_figures(counts: _Counts) -> dict[str, float | None]:
+    missed = counts.looked_at - counts.seen
     return {
-        "accuracy": _share(right, known),
-        "precision": _share(found, occupied),
-        "recall": _share(seen, looked_at),
-        "iou": _share(found, occupied + missed),
-        "log_loss": _share(loss, known),
+        "accuracy": _share(counts.right, counts.known),
+        "precision": _share(counts.found, counts.occupied),
+        "recall": _share(counts.seen, counts.looked_at),
+        "iou": _share(counts.found, counts.occupied + missed),
+        "log_loss": _share(counts.loss, counts.known),
     }
+
+
+def _counts_of(snapshot: MapSnapshot, world: World, first: int, stop: int) -> _Counts:
+    """What is counted in the map's rows from `first` to before `stop`."""
+    ix, iy, width, _ = snapshot.rect
+    around = CellRect(ix - 1, iy + first - 1, width + 2, stop - first + 2)
+    truth = occupied_cells(world, snapshot.lattice, around)
+    judged = _agreement(snapshot, truth[1:-1, 1:-1], first)
+    return _Counts(*judged, *_matches(snapshot, truth, first, stop))
+
+
+def _cost(snapshot: MapSnapshot, world: World, band: slice) -> int:
+    """Cells that are visited to judge a band of rows, at most: its own, and those of the outlines in it.
+
+    Along an outline lie no more cells than twice the rows and columns of its bounding box.
+    """
+    ix, iy, width, _ = snapshot.rect
+    corner, height = np.array([ix, iy + band.start]), band.stop - band.start
+    ends = snapshot.lattice.in_cells(world.segments.reshape(-1, 2, 2)) - corner
+    centres = snapshot.lattice.in_cells(world.circles[:, :2]) - corner
+    radii = (world.circles[:, 2] / snapshot.lattice.resolution)[:, np.newaxis]
+    lows = np.concatenate((ends.min(axis=1), centres - radii))
+    highs = np.concatenate((ends.max(axis=1), centres + radii))
+    columns, rows = (
+        np.maximum(last - first + 1, 0)
+        for first, last in (_met(lows[:, k], highs[:, k], (width, height)[k]) for k in range(2))
+    )
+    along = 2 * (columns + rows)[rows > 0]
+    return int(width * height + along.sum() + len(lows))
 
 
 def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
@@ -75,11 +141,15 @@ def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
     return occupied
 
 
-def _agreement(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, float]:
-    """Known cells, how many of them are on the true side of one half, and their summed log loss."""
+def _agreement(snapshot: MapSnapshot, truth: Bools, first: int) -> tuple[int, int, float]:
+    """Known cells, how many of them are on the true side of one half, and their summed log loss.
+
+    `truth` is that of the map's rows from `first` on.
+    """
     known, right, loss = 0, 0, 0.0
-    for band in row_bands((snapshot.height, snapshot.width)):
-        true, (p, judged) = truth[band], snapshot.published(band)
+    for band in row_bands(truth.shape):
+        true = truth[band]
+        p, judged = snapshot.published(slice(first + band.start, first + band.start + len(true)))
         known += int(np.count_nonzero(judged))
         right += int(np.count_nonzero(judged & ((p > 0.5) == true)))
         losses = np.where(true, _loss_if_occupied(p), _loss_if_free(p))
@@ -87,24 +157,35 @@ def _agreement(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, float]:
     return known, right, loss
 
 
-def _matches(snapshot: MapSnapshot, truth: Bools) -> tuple[int, int, int, int]:
+def _matches(snapshot: MapSnapshot, truth: Bools, first: int, stop: int) -> tuple[int, int, int, int]:
     """The map's occupied cells and how many are near a true one; the true cells looked at, and those seen.
 
-    `truth` reaches one cell beyond the map on every side.
+    Counted are cells of the rows from `first` to before `stop`, and true ones beside the map. `truth` reaches
+    one cell beyond them on every side.
     """
-    beliefs = np.pad(snapshot.encode(_belief), 2)
+    beliefs = _with_two_around(snapshot, first, stop)
     occupied = found = looked_at = seen = 0
+    counted = truth.copy()
+    counted[0] &= first == 0
+    counted[-1] &= stop == snapshot.height
     for band in row_bands(truth.shape):
         around = slice(band.start, band.stop + 2)
-        near = _gathered(beliefs[around])[truth[band]]
+        near = _gathered(beliefs[around])[counted[band]]
         looked_at += int(np.count_nonzero(near))
         seen += int(np.count_nonzero(near & _OCCUPIED))
-    for band in row_bands((snapshot.height, snapshot.width)):
+    for band in row_bands((stop - first, snapshot.width)):
         near_truth = _gathered(truth[band.start : band.stop + 2])
         mine = beliefs[2:-2, 2:-2][band] & _OCCUPIED != 0
         occupied += int(np.count_nonzero(mine))
         found += int(np.count_nonzero(mine & near_truth))
     return occupied, found, looked_at, seen
+
+
+def _with_two_around(snapshot: MapSnapshot, first: int, stop: int) -> NDArray[np.uint8]:
+    """Beliefs of the rows from `first` to before `stop` and two cells around; beyond the map they are 0."""
+    south, north = max(first - 2, 0), min(stop + 2, snapshot.height)
+    beyond = (south - (first - 2), stop + 2 - north), (2, 2)
+    return np.pad(snapshot.encode(_belief, slice(south, north)), beyond)
 
 
 def _gathered(codes: NDArray[Any]) -> NDArray[Any]:

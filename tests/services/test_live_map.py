@@ -12,7 +12,8 @@ from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.quality.figures import Consistency, map_figures, quality_figures
+from ogm_core.quality.bounded import bounded_figures
+from ogm_core.quality.figures import Consistency, map_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import lab, load_world
 from ogm_core.status import MapInfo
@@ -55,9 +56,9 @@ def counted(monkeypatch):
 
     def count(snapshot, *others):
         revisions.append(snapshot.revision)
-        return quality_figures(snapshot, *others)
+        return bounded_figures(snapshot, *others)
 
-    monkeypatch.setattr(live_map_module, "quality_figures", count)
+    monkeypatch.setattr(live_map_module, "bounded_figures", count)
     return revisions
 
 
@@ -168,7 +169,8 @@ def test_quality_is_that_of_the_map_and_of_its_scans(live):
     quality = live.quality()
     # Cells 1 to 4: free twice; free and then hit, back at a half; free; hit.
     expected = map_figures(live.snapshot()) | {"consistency": {}, "scans": 2, "cell_updates": 6}
-    assert {**quality, "consistency": {}} == expected | {"truth": None}
+    whole = {"map": 1.0, "scans": 2, "consistency": 1.0, "truth": None, "visits": 4 + 4 + 4 + 2}
+    assert {**quality, "consistency": {}} == expected | {"judged": whole, "truth": None}
     assert (quality["known_m2"], quality["free_m2"], quality["occupied_m2"]) == (1.0, 0.25, 0.25)
     # One of two hits ended, and one of four passes went through, where p is a half.
     assert quality["consistency"] == {"hits": 0.5, "free": 0.75}

@@ -2,7 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from ogm_core.quality.figures import map_figures
+from ogm_core.quality.bounded import VISITS
+from ogm_core.quality.figures import map_figures_within
 from ogm_core.snapshot import MapSnapshot
 
 CAPACITY = 256
@@ -70,7 +71,7 @@ def sample_of(snapshot: MapSnapshot) -> Sample | None:
     """The figures of a map; None before a scan has made a cell known."""
     if snapshot.stamp is None:
         return None
-    figures = map_figures(snapshot)
+    figures, _, _ = map_figures_within(snapshot, VISITS)
     if not figures["known_m2"]:
         return None
     return Sample(

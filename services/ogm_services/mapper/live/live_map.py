@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
+from ogm_core.quality.bounded import bounded_figures
 from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import World
@@ -135,19 +136,20 @@ class LiveMap:
     def quality(self, world: World | None = None) -> dict[str, Any]:
         """Quality figures of the map and its newest scans; may be a second old.
 
-        `truth` says how well the map agrees with a true `world`, None without one.
+        `truth` says how well the map agrees with a true `world`, None without one. `judged` says of which
+        share of the map and its scans they are: they cost so much at most (see `bounded_figures`).
 
         Raises:
             Unavailable: they were not ready when `stop` was called.
         """
-        return self._figure(self._quality, lambda: self._quality_now(world, self._check_stopping), world)
+        return self._figure(self._quality, lambda: self._bounded_quality(world), world)
 
     def stop(self) -> None:
         """Nobody waits any more for the figures that are being computed: they may take minutes."""
         self._stopping.set()
 
     def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
-        """The same of this very moment, even after `stop`.
+        """The same of this very moment and all of it, even after `stop`, whatever it costs.
 
         Figures that are not ready `within` so many seconds are None, and named in the list `missing`.
         """
@@ -163,12 +165,22 @@ class LiveMap:
         if self._stopping.is_set():
             raise Unavailable("the mapper is stopping")
 
-    def _quality_now(self, world: World | None, between: Callable[[], None]) -> dict[str, Any]:
+    def _bounded_quality(self, world: World | None) -> dict[str, Any]:
+        snapshot, recent, updates = self._to_judge()
+        figures = bounded_figures(snapshot, self._grid.settings, recent, world, self._check_stopping)
+        truth, judged = figures.pop("truth"), figures.pop("judged")
+        counts = {"scans": snapshot.revision, "cell_updates": updates}
+        return {**figures, **counts, "judged": judged, "truth": truth}
+
+    def _to_judge(self) -> tuple[MapSnapshot, list[PlacedScan], int]:
+        """The map of this moment, its newest scans, and how many updates its cells have had."""
         with self._reading:
             room = self._room()
             with self._writing:
-                snapshot = self._current_snapshot(room)
-                recent, updates = list(self._recent), self._grid.cell_updates
+                return self._current_snapshot(room), list(self._recent), self._grid.cell_updates
+
+    def _quality_now(self, world: World | None, between: Callable[[], None]) -> dict[str, Any]:
+        snapshot, recent, updates = self._to_judge()
         consistency = Consistency(snapshot, self._grid.settings)
         figures = quality_figures(snapshot, consistency, updates)
         figures["truth"] = None
