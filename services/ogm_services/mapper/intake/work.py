@@ -17,7 +17,7 @@ FIRST_RATE = 2e-9
 """How long a cell takes before any of a robot's was measured, s."""
 SLOW_RATE = 50e-9
 """Cells that take longer than this, s each, tell of a moment in which the machine stood still."""
-_BELIEVED = 3
+_BELIEVED = 4
 """Unless it happens to so many scans in a row."""
 _NEWEST = 4
 """Scans that a rate is the mean of."""
@@ -58,7 +58,7 @@ class CellRate:
     """How long the cells of one robot's scans take, s each: the mean of the newest few scans.
 
     A robot whose scans take longer, or less long, than they look (new memory, refused at a glance) is known
-    by it after one of them. That one or two took very long is not believed: three in a row are.
+    by it after one of them. That one or two took very long is not believed: four in a row are.
     """
 
     __slots__ = ("_newest", "_slow", "value")
