@@ -38,6 +38,8 @@ def lines(caplog):
 
 
 def test_it_is_counted_for_the_source(overload, receipts):
+    for robot, sensor in (LASER, LASER, OTHER):
+        receipts.scan_received(robot, sensor)
     overload.note([LASER, OTHER, LASER])
     overload.note([])
     sources = receipts.status().robots["r"].sources
