@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ogm_core.logs.recordings import RecordedScan, write_jsonl
+from ogm_core.placing import receipts
 from ogm_core.types import IDENTITY, Pose, Scan
 from ogm_core.wire.keys import Source
 from ogm_services.commands import on_the_way, replay
@@ -77,6 +78,15 @@ def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp
         pytest.raises(ReplayFailed, match=r"stopped taking scans: 64 scans sent, 0 integrated, 64 dropped"),
     ):
         replay_into(mapper, log)
+
+
+def test_scans_of_one_robot_too_many_are_a_failure_that_is_named(mapper, tmp_path, monkeypatch):
+    monkeypatch.setattr(replay, "PATIENCE", 0.5)
+    monkeypatch.setattr(receipts, "MAX_ROBOTS", 1)
+    mapper.scan([1.0], robot="first", pose=[0.0, 0.0, 0.0])
+    mapper.settle(received=1)
+    with pytest.raises(ReplayFailed, match=r"20 scans sent, 0 integrated, 20 dropped: refused$"):
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 20, beams=8))
 
 
 def test_one_stamp_far_ahead_or_a_clock_set_back_does_not_end_the_pace(monkeypatch):

@@ -40,7 +40,7 @@ _FRESH = 8
 """Digits of what makes the runs of one replay its own."""
 _DIGEST = 16
 """Digits that stand for a run whose name would become too long."""
-_FATAL = ("malformed", "overload", "failed")
+_FATAL = ("malformed", "overload", "failed", "refused")
 
 
 class ReplayFailed(OgmError):
@@ -137,11 +137,15 @@ class _Replay:
         return self._report()
 
     def _report(self) -> str:
-        total = self._sent.total()
-        missing = total - sum(self._since(source, "received") for source in self._sent)
+        total, dropped = self._sent.total(), self._dropped()
+        missing = self._missing() - dropped.get("refused", 0)
         parts = [f"{total} scans sent", f"{self._integrated()} integrated"]
-        parts += [f"{count} dropped: {reason}" for reason, count in self._dropped().items()]
+        parts += [f"{count} dropped: {reason}" for reason, count in dropped.items()]
         return ", ".join(parts + ([f"{missing} never received"] if missing > 0 else []))
+
+    def _missing(self) -> int:
+        """How many of our scans the mapper does not know of: they were lost on the way, or refused."""
+        return self._sent.total() - sum(self._since(source, "received") for source in self._sent)
 
     def _integrated(self) -> int:
         return sum(self._since(source, "integrated") for source in self._sent)
@@ -149,10 +153,9 @@ class _Replay:
     def _dropped(self) -> dict[str, int]:
         """Why scans were dropped, if any of ours were: the mapper counts reasons for all robots together."""
         done = sum(self._since(source, "received") - self._since(source, "pending") for source in self._sent)
-        if self._integrated() >= done:
-            return {}
         before, now = (status.scans.dropped for status in (self._before, self._status))
-        return {reason: now[reason] - before[reason] for reason in now if now[reason] > before[reason]}
+        ours = now if self._integrated() < done else {"refused"} & now.keys() if self._missing() else {}
+        return {reason: now[reason] - before[reason] for reason in ours if now[reason] > before[reason]}
 
     def _since(self, source: Source, count: Literal["received", "pending", "integrated"]) -> int:
         before, now = _status_of(self._before, source), _status_of(self._status, source)
