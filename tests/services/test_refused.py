@@ -201,6 +201,19 @@ def test_what_is_refused_is_not_even_queued(listener, endpoint, eventually, monk
     assert len(told) < 10
 
 
+def test_a_key_longer_than_any_of_a_message_is_ignored_and_not_remembered(listener, eventually):
+    receipts = Receipts()
+    placer = ScanPlacer(None, receipts, lambda *_: None)
+    subscriber = ZenohSubscriber(listener, MapKeys("hall"), ScanQueue(100), receipts, placer, max_beams=10)
+    subscriber.declare()
+    for k in range(50):
+        listener.put(f"ogm/v1/hall/robots/{'r' * 1000}{k}/pose", b"")
+    listener.put("ogm/v1/hall/robots/r/elsewhere", b"")
+    eventually(lambda: receipts.status().other.ignored == 51)
+    assert subscriber._source_of.cache_info().currsize == 1
+    subscriber.close()
+
+
 def test_the_run_of_a_source_that_was_unheard_longest_is_forgotten_and_none_is_refused(mapper):
     def send(run, seq=0):
         mapper.scan([1.0], robot="r", pose=[0.0, 0.0, 0.0], run=run, seq=seq)

@@ -19,6 +19,8 @@ from ogm_services.runtime.limited_log import LimitedLog
 
 MAX_SOURCES = 1000
 """Keys of messages whose sources are remembered; reading one anew does no harm."""
+MAX_KEY = 256
+"""Longer than any key of a message, characters: such a one is not even remembered."""
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +68,8 @@ class ZenohSubscriber:
         self._declared.close()
 
     def _received(self, sample: zenoh.Sample) -> None:
-        source = self._source_of(str(sample.key_expr))
+        key = str(sample.key_expr)
+        source = self._source_of(key) if len(key) <= MAX_KEY else None
         if source is None or sample.kind != zenoh.SampleKind.PUT:
             self._receipts.ignored()
             return
