@@ -3,6 +3,10 @@
 import random
 import re
 
+from hypothesis import strategies as st
+
+SEEDS = st.integers(0, 2**64 - 1).map(random.Random)
+"""What `mutated` takes its chances from, in tests by hypothesis."""
 _LONGEST = 2_000_000
 _NUMBER = re.compile(rb"-?\d+(\.\d+)?")
 _NUMBERS = (

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import FREE, FREE_BELOW, OCCUPIED, OCCUPIED_ABOVE, UNKNOWN
 from ogm_core.errors import BadMapFile, BadSetting
 from ogm_core.files.grey_pictures import GreyPicture, read_picture
-from ogm_core.files.strict_yaml import NUMBER, parse_yaml, shown
+from ogm_core.files.strict_yaml import NUMBER, parse_yaml, read_text, shown
 from ogm_core.lattice import Lattice
 
+MAX_YAML_BYTES = 64 * 1024
+"""A longer description is not read: ten lines are needed."""
 MAX_ORIGIN = 1e9
 """Farther from (0, 0), m, float64 no longer places cells exactly."""
 
@@ -93,7 +95,7 @@ def read_ros_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> Ro
 
 def _fields(path: Path) -> Mapping[str, object]:
     try:
-        fields = parse_yaml(path.read_text(encoding="utf-8"))
+        fields = parse_yaml(read_text(path, MAX_YAML_BYTES))
     except OSError as error:
         raise BadMapFile(f"cannot be read: {error.strerror}") from error
     except ValueError as error:

@@ -7,6 +7,7 @@ no part of YAML 1.2, and a few lines of them can take for ever: they are refused
 
 import re
 from collections.abc import Hashable, Mapping
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -114,6 +115,20 @@ def dump_yaml(value: object, *, width: int | None = None) -> str:
     Lines longer than `width`, 80 characters if None, are broken where that changes nothing.
     """
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=width))
+
+
+def read_text(path: Path, longest: int) -> str:
+    """The text of a YAML file of at most `longest` bytes; reading more of it would take minutes.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is longer, or not UTF-8.
+    """
+    with path.open("rb") as file:
+        content = file.read(longest + 1)
+    if len(content) > longest:
+        raise ValueError(f"longer than {longest} bytes")
+    return content.decode()
 
 
 def _check_depth(text: str) -> None:

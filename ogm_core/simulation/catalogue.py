@@ -4,9 +4,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ogm_core.errors import BadWorld
+from ogm_core.files.strict_yaml import read_text
 from ogm_core.simulation.office import PLAN
 from ogm_core.simulation.trajectories import Point
 from ogm_core.simulation.worlds import World, fields_of, lab, load_world
+
+MAX_WORLD_BYTES = 4 * 1024**2
+"""A longer file is not read; that of a warehouse, wall by wall, is an eighth of it."""
 
 
 def office() -> World:
@@ -34,7 +38,7 @@ def world_named(
         return _own_way(BUILT_IN[name_or_path](), start)
     known = ", ".join(BUILT_IN)
     try:
-        text = Path(name_or_path).read_text(encoding="utf-8")
+        text = read_text(Path(name_or_path), MAX_WORLD_BYTES)
     except FileNotFoundError as error:
         raise BadWorld(f"world {name_or_path!r}: no such file, nor a built-in world ({known})") from error
     except (OSError, ValueError) as error:
