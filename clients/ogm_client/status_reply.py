@@ -6,7 +6,7 @@ from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
-from ogm_client.transport import json_object
+from ogm_client.transport import json_object, printable
 from ogm_core.status import Status
 from ogm_core.types import Pose
 
@@ -87,4 +87,4 @@ def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:  # noqa: ANN401 - a datac
 
 def _misread(path: tuple[str, ...], what: str) -> BadReply:
     where, *inside = path
-    return BadReply(f"{': '.join([where, '.'.join(inside)])}: {what}; is that a mapper of another version?")
+    return BadReply(f"{where}: {printable('.'.join(inside))}: {what}; is that a mapper of another version?")

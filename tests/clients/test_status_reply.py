@@ -68,6 +68,7 @@ def test_reasons_that_an_older_mapper_does_not_know_are_not_needed():
         (("map_info", "bytes"), 2**64, "map_info.bytes: a number below"),
         (("robots", "r2", "pose"), [1e300, 0.0, 0.0], "robots.r2.pose: a number below"),
         (("map",), "hall\x1b[2J", "map: a text has characters that cannot be shown"),
+        (("robots",), {"x" * 500: None}, "robots.x{293}"),
         (("scans", "dropped"), {"\n": 1}, "scans.dropped: a text has characters"),
         (("robots",), [], "robots"),
         (("robots", "r2", "sources", "front", "received"), None, "robots.r2.sources.front.received"),
