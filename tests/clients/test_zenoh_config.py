@@ -107,7 +107,7 @@ def test_who_waits_where_tls_is_spoken_is_told_of_certificates(file, caplog, mon
     monkeypatch.setattr(session, "CONNECT_TIMEOUT", 0.0)
     config = file('mode: "client", connect: {endpoints: ["tls/127.0.0.1:1"]}')
     with pytest.raises(CannotConnect):
-        RobotPublisher("r1", zenoh_config=config, connect_timeout=0.05)
+        RobotPublisher("r1", zenoh_config=config, connect_timeout=2.0)
     (said,) = caplog.messages
     assert said.startswith(
         "waiting for a mapper or a Zenoh router at tls/127.0.0.1:1; with TLS each side needs"
