@@ -46,6 +46,8 @@ class MapPicture:
         self._lineage: object = None
         self._strips: dict[int, Strip] = {}
         """By row of tiles of the lattice."""
+        self.nbytes = 0
+        """What the strips take."""
 
     def png(self, snapshot: MapSnapshot) -> bytes:
         """PNG of a snapshot with at least one cell, north up; of any revision, the newest are quick."""
@@ -58,6 +60,7 @@ class MapPicture:
             south, north = view.rect.iy // TILE, (view.rect.iy + view.rect.height - 1) // TILE
             self._strips = {ty: self._strip(snapshot, view, ty) for ty in range(north, south - 1, -1)}
             strips = list(self._strips.values())
+            self.nbytes = sum(len(strip.piece) for strip in strips)
         check = combined([(strip.check, strip.size) for strip in strips]).to_bytes(4)
         pieces = [_ZLIB_HEADER, *(strip.piece for strip in strips), _LAST_BLOCK, check]
         return png_of(snapshot.width, snapshot.height, pieces)

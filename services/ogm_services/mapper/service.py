@@ -47,6 +47,7 @@ from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
+from ogm_services.replies.in_flight import MAX_IN_FLIGHT, InFlight
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
@@ -180,6 +181,10 @@ class MapperService:
         self.answers = Answers(
             settings.network.map_name, self.live_map, receipts, self._monitor, self._ready.is_set
         )
+        memory = self.memory
+        self.in_flight = InFlight(memory.share(MAX_IN_FLIGHT), lambda: memory.limit - memory.total())
+        memory.add("caches", self.answers.cached_bytes)
+        memory.add("answers", lambda: self.in_flight.held, self.in_flight.limit)
         self._open = ExitStack()
         self.addresses: list[str] = []
 
@@ -242,7 +247,7 @@ class MapperService:
         keys = MapKeys(network.map_name)
         self._others = others = OtherMappers(session, keys)
         opening.callback(others.close)  # last of all: until then no other mapper starts
-        routes = ZenohRoutes(session, keys)
+        routes = ZenohRoutes(session, keys, self.in_flight)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
             *(session, keys, self._queue, self._receipts, self._placer),
@@ -287,6 +292,7 @@ class MapperService:
             hosts=(*http.hosts, http.host),
             token=self._token,
             shares=self._http_shares,
+            in_flight=self.in_flight,
         )
         self._http_thread = HttpThread(app, listener)
         return self._http_thread

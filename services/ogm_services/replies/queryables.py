@@ -11,6 +11,7 @@ import zenoh
 
 from ogm_core.errors import BadParameter, OgmError
 from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of
 from ogm_services.replies.turns import Turns
 
@@ -24,8 +25,10 @@ class Queryables:
     ever waits for an answer to be made.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, in_flight: InFlight | None = None) -> None:
+        """`in_flight` counts what is being sent, also elsewhere."""
         self._session = session
+        self._in_flight = in_flight or InFlight()
         self._declared = ExitStack()
 
     def declare(
@@ -44,7 +47,7 @@ class Queryables:
 
         def callback(query: zenoh.Query) -> None:
             outcome = turns.take(partial(checked, query))
-            outcome.add_done_callback(partial(_reply, query, key))
+            outcome.add_done_callback(partial(_reply, query, key, self._in_flight))
 
         handler = zenoh.handlers.Callback(callback, indirect=False)
         self._declared.push(self._session.declare_queryable(key, handler, complete=False))
@@ -54,19 +57,19 @@ class Queryables:
         self._declared.close()
 
 
-def _reply(query: zenoh.Query, key: str, outcome: "Future[Answer]") -> None:
+def _reply(query: zenoh.Query, key: str, in_flight: InFlight, outcome: "Future[Answer]") -> None:
     """Answer a query on its concrete key; every failure is told."""
     with query:
         try:
             reply = outcome.result()
+            attachment = None if reply.meta is None else msgpack.packb(reply.meta)
+            with in_flight.sending(reply.body):
+                query.reply(key, reply.body, encoding=reply.media_type, attachment=attachment)
         except OgmError as error:
             query.reply_err(problem_of(error), encoding=MEDIA_TYPE)
         except Exception:
             log.exception("a query of %s failed", key)
             query.reply_err(problem("internal", 500, "the service failed; see its log"), encoding=MEDIA_TYPE)
-        else:
-            attachment = None if reply.meta is None else msgpack.packb(reply.meta)
-            query.reply(key, reply.body, encoding=reply.media_type, attachment=attachment)
 
 
 def _parameters(query: zenoh.Query) -> dict[str, str]:

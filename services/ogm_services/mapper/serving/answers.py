@@ -87,6 +87,18 @@ class Answers:
         self._cache = _AnswerCache(self.now)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._ready = ready
+        self._caches: list[Callable[[], int]] = [
+            lambda: self._cache.nbytes,
+            lambda: sum(picture.nbytes for picture in self._pictures.values()),
+        ]
+
+    def count_cache(self, held: Callable[[], int]) -> None:
+        """Count a cache of answers that lies elsewhere: `held` says how many bytes it keeps."""
+        self._caches.append(held)
+
+    def cached_bytes(self) -> int:
+        """Bytes of answers that are kept for the next who asks; a body in two caches counts twice."""
+        return sum(held() for held in self._caches)
 
     def check_ready(self) -> None:
         """Refuse what needs a mapper that has started.
@@ -215,6 +227,11 @@ class _AnswerCache:
         self._answers: dict[object, Answer] = {}
         self._size = 0
         self._turns: dict[object, _Turn] = {}
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self._size
 
     def find(self, key: object, asked: Identity) -> Answer | None:
         with self._lock:

@@ -2,12 +2,11 @@
 
 import hmac
 
-from fastapi import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.same_origin import SAFE_METHODS
 from ogm_services.replies.answer import Unauthorized
-from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
 
 _SCHEME = b"bearer "
 
@@ -38,8 +37,7 @@ class BearerToken:
             "`Authorization: Bearer TOKEN` with the token of the mapper's settings (http.token)"
         )
         challenge = {"WWW-Authenticate": 'Bearer error="invalid_token"' if given else "Bearer"}
-        answer = Response(problem_of(error), status_of(error), challenge, MEDIA_TYPE)
-        await answer(scope, receive, send)
+        await refusal(error, challenge)(scope, receive, send)
 
 
 def _token_of(header: bytes) -> bytes:

@@ -28,21 +28,22 @@ from ogm_services.mapper.serving.api_description import (
 )
 from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.in_pieces import InPieces
 from ogm_services.mapper.serving.known_hosts import KnownHosts
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
+from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
-from ogm_services.replies.answer import Answer, Busy, Parameters, Unavailable
-from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of, status_of
+from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.in_flight import InFlight
+from ogm_services.replies.problems import MEDIA_TYPE, problem
 from ogm_services.replies.turns import Turns
 
 UNHEARD = "t"
 """Query parameter that viewers add, with a new value each time, lest a cache answers them."""
-RETRY_AFTER = "2"
-"""When to ask a mapper again that is starting or busy, s."""
 MAX_WAITING = 256
 """So many requests of a share may wait for their turn."""
 
@@ -94,11 +95,12 @@ def build_app(
     hosts: Sequence[str] = (),
     token: bytes | None = None,
     shares: Shares | None = None,
+    in_flight: InFlight | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
 
     `hosts` are names by which it is asked, besides the machine's own; with a `token` writes must carry it.
-    Its threads are those of `shares`, which belong to the caller.
+    Its threads are those of `shares`, which belong to the caller. `in_flight` counts what is being sent.
     """
     shares = shares or Shares(MAX_WAITING)
     version = importlib.metadata.version("zenoh-ogm")
@@ -109,11 +111,13 @@ def build_app(
         redoc_url=None,
     )
     ready = ReadyMaps(answers)
+    answers.count_cache(lambda: ready.nbytes)
     app.add_middleware(BearerToken, token=token)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
     app.add_middleware(_WithoutUnheard)
+    app.add_middleware(InPieces, in_flight=in_flight or InFlight())
     app.add_middleware(KnownHosts, names=hosts)
     # The last one is the first that a request meets.
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
@@ -230,8 +234,7 @@ def _probe(trouble: str | None) -> Response:
 
 async def _ogm_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, OgmError)
-    later = {"Retry-After": RETRY_AFTER} if isinstance(error, Busy | Unavailable) else None
-    return Response(problem_of(error), status_of(error), later, MEDIA_TYPE)
+    return refusal(error)
 
 
 async def _http_error(_: Request, error: Exception) -> Response:

@@ -11,12 +11,10 @@ import threading
 from collections.abc import Iterable
 from functools import lru_cache
 
-from fastapi import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from ogm_services.mapper.serving.ready_maps import NO_STORE
+from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.replies.answer import BadHost, ForeignHost
-from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
 
 _HOST = re.compile(rb"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_\-.]+)(?::([0-9]{1,5}))?")
 """Host of RFC 9112, section 3.2, without what no name of the network has in it."""
@@ -48,8 +46,7 @@ class KnownHosts:
                     if scope["type"] == "websocket":
                         await send({"type": "websocket.close"})  # 403, for none was accepted
                         return
-                    answer = Response(problem_of(error), status_of(error), NO_STORE, MEDIA_TYPE)
-                    await answer(scope, receive, send)
+                    await refusal(error)(scope, receive, send)
                     return
         await self._app(scope, receive, send)
 

@@ -41,6 +41,11 @@ class ReadyMaps:
 
         return answer
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept; any thread may ask."""
+        return self._size
+
     def keep(self, request: Request, answer: Answer) -> Response:
         """The response to a request for a map, kept if the map is still the same."""
         ready, now = _ReadyMap(answer), self._answers.now()

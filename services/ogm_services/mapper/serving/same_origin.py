@@ -1,11 +1,10 @@
 """Same-origin check of writes over HTTP: programs and the mapper's own page may, other pages may not."""
 
-from fastapi import Response
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.replies.answer import CrossOrigin
-from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 """They change nothing (RFC 9110, section 9.2.1)."""
@@ -31,8 +30,7 @@ class SameOrigin:
                     f"{scope['method']} {scope['path']}: refused: a page of another origin asks for it "
                     f"({foreign}): use the mapper's own page, or a program that is no browser"
                 )
-                answer = Response(problem_of(error), status_of(error), media_type=MEDIA_TYPE)
-                await answer(scope, receive, send)
+                await refusal(error)(scope, receive, send)
                 return
         await self._app(scope, receive, send)
 

@@ -10,6 +10,7 @@ from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
+from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.queryables import Queryables
 
 TRUTH_TIMEOUT = 0.5
@@ -24,11 +25,11 @@ class ZenohRoutes:
     Zenoh's threads call the callbacks, which hand their query to the threads of its share.
     """
 
-    def __init__(self, session: zenoh.Session, keys: MapKeys) -> None:
+    def __init__(self, session: zenoh.Session, keys: MapKeys, in_flight: InFlight | None = None) -> None:
         self._session = session
         self._keys = keys
         self._declared = ExitStack()
-        self._queryables = Queryables(session)
+        self._queryables = Queryables(session, in_flight)
 
     def declare(self, answers: Answers, reset: Callable[[str], None]) -> None:
         """Declare the queryables: from here on every question gets an answer."""

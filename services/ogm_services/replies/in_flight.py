@@ -1,0 +1,72 @@
+"""Answers in flight: bodies that are being sent, counted until they are gone, and bounded together."""
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from ogm_services.replies.answer import Busy
+
+MAX_IN_FLIGHT = 256 * 1024**2
+"""Bytes of all bodies that are being sent; one alone may be larger."""
+SMALL = 64 * 1024
+"""Bodies up to this are not counted: as many of them as there are connections are little."""
+BUFFERED = 256 * 1024
+"""What the way to one reader holds besides the body, at most, bytes."""
+
+
+class InFlight:
+    """The bodies that are being sent to slow and quick readers. Any thread.
+
+    One body that is sent to many is one object, and counts once.
+    """
+
+    def __init__(self, limit: int = MAX_IN_FLIGHT, left: Callable[[], float] = lambda: math.inf) -> None:
+        """`left` says how many bytes there is memory for besides."""
+        self.limit = limit
+        self._left = left
+        self._lock = threading.Lock()
+        self._readers: dict[int, int] = {}
+        """How many are sent a body, by the object that it is."""
+        self._held = 0
+
+    @property
+    def held(self) -> int:
+        """Bytes that are held for readers."""
+        return self._held
+
+    @contextmanager
+    def sending(self, body: bytes) -> Iterator[None]:
+        """Hold a body while it is sent inside.
+
+        Raises:
+            Busy: too much is being sent already, or there is no memory for it.
+        """
+        if len(body) <= SMALL:
+            yield
+            return
+        with self._lock:
+            self._begin(body)
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._end(body)
+
+    def _begin(self, body: bytes) -> None:
+        readers = self._readers.get(id(body), 0)
+        size = BUFFERED + (0 if readers else len(body))
+        # One alone may be larger than all that may be sent together: nobody would ever get it.
+        if (self._held and self._held + size > self.limit) or size > self._left():
+            raise Busy(
+                f"answers of {self._held / 1024**2:.0f} MiB are being sent, and this one has "
+                f"{len(body) / 1024**2:.0f} MiB: try again later, or ask for a smaller region"
+            )
+        self._readers[id(body)] = readers + 1
+        self._held += size
+
+    def _end(self, body: bytes) -> None:
+        readers = self._readers.pop(id(body)) - 1
+        if readers:
+            self._readers[id(body)] = readers
+        self._held -= BUFFERED + (0 if readers else len(body))
