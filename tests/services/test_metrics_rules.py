@@ -98,6 +98,15 @@ def test_a_working_mapper_keeps_the_rules(mapper):
         assert value[f"{name}_count", None, None, None] == 3
         assert 0.0 < value[f"{name}_sum", None, None, None] < 3 * 60.0
     assert before <= value["ogm_last_integrated_timestamp_seconds", None, None, None] <= time.time()
+    held = {
+        sample.labels["kind"]: sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+        if sample.name == "ogm_memory_bytes"
+    }
+    assert held.keys() >= {"map", "queue", "waiting"}
+    assert held["map"] >= mapper.status()["map_info"]["bytes"] > 0
+    assert "ogm_queue_work_limit_seconds" in text
     assert value["ogm_http_requests_total", None, "/map.png", "2xx"] == 1
     assert value["ogm_http_requests_total", None, "/map.png", "4xx"] == 1
     assert value["ogm_http_requests_total", None, "other", "4xx"] == 1

@@ -41,7 +41,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import MAX_WAITING, build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
-from ogm_services.mapper.serving.load_metrics import queue_metrics
+from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics
 from ogm_services.mapper.serving.measurements import TimedSink
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
@@ -144,7 +144,7 @@ class MapperService:
         receipts, queue = Receipts(), ScanQueue(limits.queue, sizes.cells)
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
-        self._metrics = Metrics(partial(queue_metrics, queue))
+        self._metrics = Metrics(partial(queue_metrics, queue), partial(memory_metrics, self.memory))
         measured = self._metrics.measurements
         share = self.memory.share(WAITING_BYTES)
         placer = ScanPlacer(
