@@ -5,6 +5,7 @@ import yaml
 from pydantic import SecretStr
 from typer.testing import CliRunner
 
+from ogm_core.errors import BadSetting
 from ogm_services.cli import app
 from ogm_services.settings.described import MASKED, _plain, differences
 from ogm_services.settings.settings import SECTIONS, Settings
@@ -98,6 +99,18 @@ def test_secrets_are_masked_wherever_settings_are_shown():
     settings = Settings.model_validate({"network": {"connect": [endpoint]}})
     assert "c2VjcmV0" not in " ".join(differences(settings))
     assert _plain(SecretStr("token")) == MASKED
+
+
+def test_a_token_is_shown_nowhere_and_a_mask_is_none(tmp_path):
+    token = "c2VjcmV0LXRva2VuLW9mLW91cnM"
+    text = printed("mapper", OGM_HTTP__TOKEN=token)
+    assert token not in text
+    assert origins(text)["http.token"] == "environment OGM_HTTP__TOKEN"
+    assert differences(Settings.model_validate({"http": {"token": token}})) == [f"http.token={MASKED}"]
+    again = tmp_path / "again.yaml"
+    again.write_text(text)
+    with pytest.raises(BadSetting, match=r"http\.token"):
+        load_settings(config=again, flags={}, environ={})
 
 
 def test_differences_are_the_settings_that_are_not_the_defaults():

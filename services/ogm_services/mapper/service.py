@@ -92,9 +92,9 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     if out is not None:
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
+    service = MapperService(settings)
     version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
     log.info("zenoh-ogm %s starts, with %s", version, changed or "its default settings")
-    service = MapperService(settings)
     try:
         with service:
             for line in service.addresses:
