@@ -7,6 +7,7 @@ import numpy as np
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
 from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.waiting import NO_LIMITS
 from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.runtime.limited_log import LimitedLog
 
@@ -41,7 +42,7 @@ class Sink:
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None, max_waiting=None, **rules):
+    def __init__(self, sink=None, limits=NO_LIMITS, **rules):
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.log = LimitedLog(logging.getLogger(__name__))
@@ -52,7 +53,7 @@ class Desk:
         self.placer = ScanPlacer(
             *(self.sink, self.receipts, self.complain, PlacingRules(**rules)),
             integrated=self.arrivals.append,
-            max_waiting=max_waiting,
+            limits=limits,
         )
         self._tags = {}
         self.now = 0.0

@@ -71,7 +71,16 @@ def gap(between_ns: int, pose_gap_ns: float) -> Reason:
     )
 
 
-def no_room(share: int) -> Reason:
+def too_much_waits(cells: float) -> Reason:
+    """The scans of a robot that wait would take too long once they are ready, all at once."""
+    return Reason(
+        "too much waits",
+        f"no pose has come for it yet, and scans of this robot that speak of {cells:.2g} cells wait already: "
+        f"{_RATE}",
+    )
+
+
+def no_room(share: float) -> Reason:
     """Scans that wait hold too much memory."""
     return Reason(
         "no room",

@@ -13,7 +13,7 @@ from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
 from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
-from ogm_core.placing.waiting import Held, Waiting, WaitingScans
+from ogm_core.placing.waiting import NO_LIMITS, Held, Waiting, WaitingLimits, WaitingScans
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
 MAX_GONE = 64
@@ -68,11 +68,11 @@ class ScanPlacer:
         rules: PlacingRules = DEFAULT_RULES,
         hints: Hints | None = None,
         integrated: Callable[[float], None] = lambda _: None,
-        max_waiting: int | None = None,
+        limits: WaitingLimits = NO_LIMITS,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
-        `max_waiting`: bytes that scans may hold which wait for poses, of all robots; None: no limit.
+        `limits` of the scans that wait for poses.
         """
         self._sink = sink
         self._integrated = integrated
@@ -83,7 +83,7 @@ class ScanPlacer:
         self._robots: dict[str, _Robot] = {}
         self._messages = 0
         self._held = Held()
-        self._max_waiting = max_waiting
+        self._limits = limits
 
     @property
     def waiting_bytes(self) -> int:
@@ -153,7 +153,7 @@ class ScanPlacer:
         if back:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
-        item = Waiting(sensor, scan, self._messages, now)
+        item = Waiting(sensor, scan, self._messages, now, self._limits.cells_of(scan))
         if source.holds:  # for whichever pose comes next: how far ahead it is matters only then
             robot.waiting.append(item)
         else:
@@ -161,7 +161,7 @@ class ScanPlacer:
         if robot.waiting.last is item:
             if source.crowds(scan.stamp):
                 self._limit_waiting(name, robot, sensor)
-            self._limit_bytes()
+            self._make_room(name, robot)
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the liveliness token of a robot's run is there."""
@@ -289,13 +289,16 @@ class ScanPlacer:
         stamps = [item.scan.stamp for item in robot.waiting if item.sensor == sensor]
         robot.sources[sensor].waiting = len(stamps), min(stamps), max(stamps)
 
-    def _limit_bytes(self) -> None:
-        """Give up the oldest scans of the robot whose waiting ones hold the most, if all hold too much."""
-        most = self._max_waiting
-        while most is not None and self._held.nbytes > most:
+    def _make_room(self, name: str, robot: _Robot) -> None:
+        """Give up the oldest scans of a robot past its limit, then of the one that holds the most bytes."""
+        limits = self._limits
+        while robot.waiting.cells > limits.cells and len(robot.waiting) > 1:
+            sensor = robot.waiting.take_first().sensor
+            self._drop(name, sensor, "no_pose", reasons.too_much_waits(limits.cells))
+        while self._held.nbytes > limits.nbytes:
             name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
             sensor = robot.waiting.take_first().sensor
-            self._drop(name, sensor, "no_pose", reasons.no_room(most))
+            self._drop(name, sensor, "no_pose", reasons.no_room(limits.nbytes))
 
     def _give_up(
         self, name: str, robot: _Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True

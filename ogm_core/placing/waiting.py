@@ -1,5 +1,6 @@
 """Scans that wait for their robot's poses, in order of arrival, and the memory that they hold."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -7,6 +8,21 @@ from ogm_core.types import Scan
 
 _BESIDES = 1024
 """What a waiting scan takes beside its ranges, about, bytes."""
+
+
+@dataclass(frozen=True)
+class WaitingLimits:
+    """How many scans may wait: by the bytes of all robots' scans, and by the cells of one robot's.
+
+    `cells_of`: of how many cells a scan may speak. One pose can make all of a robot's scans ready at once.
+    """
+
+    nbytes: float = math.inf
+    cells: float = math.inf
+    cells_of: Callable[[Scan], float] = lambda _: 0.0
+
+
+NO_LIMITS = WaitingLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,6 +35,8 @@ class Waiting:
     """Of the message, counted over all robots."""
     handed: float
     """When it came, s."""
+    cells: float
+    """Of how many cells it may speak."""
 
     @property
     def nbytes(self) -> int:
@@ -34,12 +52,13 @@ class Held:
 
 
 class WaitingScans:
-    """Those of one robot. Its bytes are counted here, and in what all robots hold."""
+    """Those of one robot. Its bytes are counted here, and in what all robots hold; its cells here."""
 
     def __init__(self, held: Held) -> None:
         self._all = held
         self._items: list[Waiting] = []
         self.nbytes = 0
+        self.cells = 0.0
 
     def __len__(self) -> int:
         return len(self._items)
@@ -60,7 +79,7 @@ class WaitingScans:
     def append(self, item: Waiting) -> None:
         """Let a scan wait that came after all the others."""
         self._items.append(item)
-        self._count(item.nbytes)
+        self._count(1, [item])
 
     def take(self, which: Callable[[Waiting], bool] = lambda _: True) -> list[Waiting]:
         """Take out those that `which` chooses."""
@@ -68,15 +87,19 @@ class WaitingScans:
         if taken:
             gone = {item.number for item in taken}
             self._items = [item for item in self._items if item.number not in gone]
-            self._count(-sum(item.nbytes for item in taken))
+            self._count(-1, taken)
         return taken
 
     def take_first(self) -> Waiting:
         """Take out the one that came first; there must be one."""
         item = self._items.pop(0)
-        self._count(-item.nbytes)
+        self._count(-1, [item])
         return item
 
-    def _count(self, more: int) -> None:
+    def _count(self, sign: int, items: list[Waiting]) -> None:
+        more = sign * sum(item.nbytes for item in items)
         self.nbytes += more
         self._all.nbytes += more
+        self.cells += sign * sum(item.cells for item in items)
+        if not self._items:  # else what is lost in rounding would add up
+            self.cells = 0.0

@@ -34,6 +34,16 @@ class ScanSize:
         ranges, increment = read_only(scan.ranges), float(scan.angle_increment)
         return self.cells(ranges, increment, near, far, scan.clear_range, scan.reach)
 
+    def at_most(self, scan: Scan) -> float:
+        """Of how many cells a scan may speak, whatever its ranges are, about."""
+        reach = self._reach if scan.reach is None else scan.reach
+        length = min(min(float(scan.range_max), reach) / self._resolution, self._longest)
+        along = scan.ranges.size * length
+        if not self._sector:
+            return along
+        turn = min(scan.ranges.size * abs(float(scan.angle_increment)), math.tau)
+        return along + min(turn * length * length / 2.0, self._largest)
+
     def cells(
         self,
         ranges: NDArray[np.float32],

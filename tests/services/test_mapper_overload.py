@@ -1,5 +1,6 @@
 """An honest robot beside one that floods the mapper, over Zenoh: its scans get in."""
 
+import hashlib
 import threading
 import time
 from contextlib import contextmanager
@@ -54,6 +55,13 @@ def put_on(session, mapper, key, payload):
     session.put(f"{mapper.keys.root}/{key}", payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
+def compute(seconds):
+    """Compute for so long, as a kernel does: without Python's lock."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 500)
+
+
 @pytest.fixture
 def slow(start_mapper, no_errors):
     """A mapper with room for 500 scans that takes 2 ms for each, or what `took` says for its run, s."""
@@ -62,7 +70,7 @@ def slow(start_mapper, no_errors):
         integrate = mapper.service.live_map.integrate
 
         def slowly(scan, *placed):
-            time.sleep(mapper.took.get(scan.run, 0.002))
+            compute(mapper.took.get(scan.run, 0.002))
             return integrate(scan, *placed)
 
         mapper.service.live_map.integrate = slowly
@@ -118,4 +126,4 @@ def test_an_honest_robot_loses_nothing_to_one_whose_scans_are_a_second_of_work(s
     with flooding(slow, put):
         sent = honest_scans(slow, 6.0)
     check_honest(slow, sent, eventually)
-    assert slow.status()["robots"]["heavy"]["sources"]["s"]["integrated"] >= 4
+    assert slow.status()["robots"]["heavy"]["sources"]["s"]["integrated"] >= 2

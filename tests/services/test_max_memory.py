@@ -9,6 +9,8 @@ from mapper_desk import Desk
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.waiting import WaitingLimits
+from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
@@ -95,7 +97,7 @@ def test_recent_scans_hold_their_share_at_most():
 
 
 def test_the_robot_whose_waiting_scans_hold_the_most_loses_its_oldest():
-    desk = Desk(max_waiting=100_000)
+    desk = Desk(limits=WaitingLimits(100_000))
     for k in range(10):
         desk.scan(k, robot="small", run="a", seq=k, beams=100)
     for k in range(40):
@@ -116,6 +118,40 @@ def test_the_robot_whose_waiting_scans_hold_the_most_loses_its_oldest():
     assert desk.placer.waiting_bytes == 10 * (400 + 1024)
     desk.pose(0, robot="small", run="a").pose(100, robot="small", run="a")
     assert desk.placer.waiting_bytes == 0
+
+
+def test_a_robot_whose_waiting_scans_would_take_long_all_at_once_loses_its_oldest():
+    desk = Desk(limits=WaitingLimits(cells=10_000.0, cells_of=lambda scan: 100.0 * scan.ranges.size))
+    for k in range(30):
+        desk.scan(k, robot="small", run="a", seq=k, beams=1)
+        desk.scan(k, robot="large", sensor=f"s{k % 3}", run="a", seq=k, beams=10)
+    desk.scan(30, robot="alone", run="a", seq=0, beams=500)  # one may always wait
+    robots = desk.receipts.status().robots
+    assert robots["small"].sources["s"].pending == 30
+    assert robots["alone"].sources["s"].pending == 1
+    assert desk.dropped == {"no_pose": 20}
+    text = next(text for _, kind, text in desk.complaints if kind == "too much waits")
+    assert "scans of this robot that speak of 1e+04 cells wait already" in text
+    desk.pose(0, robot="large", run="a").pose(100, robot="large", run="a")
+    assert desk.order == list(range(20, 30))
+    for k in range(30):  # what was placed makes room
+        desk.scan(101 + k, robot="large", sensor=f"s{k % 3}", run="a", seq=30 + k, beams=10)
+    sources = desk.receipts.status().robots["large"].sources.values()
+    assert sum(source.pending for source in sources) == 10
+
+
+@pytest.mark.parametrize("model", ["beam", "sector"])
+def test_no_scan_speaks_of_more_cells_than_it_may(model):
+    rng = np.random.default_rng(3)
+    size = ScanSize(GridSettings(sensor_model=model, reach=12.0))
+    for beams, increment in ((1, 1.0), (10, 0.7), (360, 0.0175), (1081, 0.0044)):
+        ranges = rng.uniform(0.0, 30.0, beams).astype(np.float32)
+        for known in (ranges, np.full(beams, np.inf, np.float32)):
+            scan = Scan(0, -3.0, increment, 0.0, 20.0, known)
+            assert size.of(scan) <= size.at_most(scan) * (1.0 + 1e-9)
+    assert size.at_most(scan) == pytest.approx(
+        1081 * 240 + (0 if model == "beam" else 1081 * 0.0044 * 240**2 / 2)
+    )
 
 
 def test_without_a_share_as_in_a_build_all_of_them_wait():

@@ -23,11 +23,13 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
+from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK, ScanQueue
-from ogm_services.mapper.intake.work import ScanSizes
+from ogm_services.mapper.intake.work import FIRST_RATE, ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.live.live_map import LiveMap
@@ -151,7 +153,7 @@ class MapperService:
             *(TimedSink(self.live_map, measured.integration), receipts, complain, settings.placing_rules()),
             hints=hints,
             integrated=measured.scan_integrated,
-            max_waiting=share,
+            limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),
         )
         self.memory.add("queue", lambda: queue.bytes, MAX_BYTES)
         self.memory.add("waiting", lambda: placer.waiting_bytes, share)
