@@ -123,10 +123,10 @@ def test_services_stop_while_scans_stream_and_clients_hang_on(ogm, mapper, event
         ]
         idle, asking, half, _silent = clients
         for client in (idle, asking):
-            client.sendall(b"GET /status HTTP/1.1\r\nHost: here\r\n\r\n")
+            client.sendall(b"GET /status HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert idle.recv(100).startswith(b"HTTP/1.1 200 OK")  # and keeps the connection
-        asking.sendall(b"GET /map.json HTTP/1.1\r\nHost: here\r\n\r\n" * 40)  # and never reads on
-        half.sendall(b"POST /reset HTTP/1.1\r\nHost: here\r\nContent-Length: 5\r\n\r\n")
+        asking.sendall(b"GET /map.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 40)  # and never reads on
+        half.sendall(b"POST /reset HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\n\r\n")
         ended = mapper.command.stop(number)
         assert ended.code == 0, ended
     ended = robot.stop(number)
