@@ -17,6 +17,14 @@ OgmError
 +-- MapEmpty              there is no known cell to draw
 """
 
+MAX_SHOWN = 100
+"""So much of a text that was given is repeated in an error, characters."""
+
+
+def cut(text: str) -> str:
+    """A text that was given, cut to what an error repeats of it."""
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
 
 class OgmError(Exception):
     """Base of every error that is raised on purpose; anything else is a bug."""

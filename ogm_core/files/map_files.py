@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
-from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty
+from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty, cut
 from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
 from ogm_core.lattice import MAX_INDEX
@@ -187,7 +187,7 @@ def _check_not_empty(snap: MapSnapshot) -> None:
 
 def _chosen(encoders: Mapping[str, Encoder], what: str, name: str) -> Encoder:
     if name not in encoders:
-        raise BadParameter(f"{what}: one of {', '.join(encoders)} is needed, got {name!r}")
+        raise BadParameter(f"{what}: one of {', '.join(encoders)} is needed, got {cut(name)!r}")
     return encoders[name]
 
 

@@ -8,6 +8,7 @@ import pytest
 import zenoh
 
 from ogm_services.mapper.serving.other_mappers import AlreadyMapped
+from ogm_services.replies.turns import Turns
 
 META = ["epoch", "revision", "stamp", "resolution", "width", "height", "origin", "anchor", "offset"]
 
@@ -245,6 +246,66 @@ def test_mappers_of_other_maps_live_side_by_side(mapper, start_mapper):
         keys = {str(r.ok.key_expr) for r in mapper.session.get("ogm/v1/*/status", timeout=30.0)}
         assert keys == {"ogm/v1/hall/status", "ogm/v1/hall2/status"}
     assert mapper.settle(received=3)["revision"] == 3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "besides", "named"),
+    [
+        (";".join(f"a{n}" for n in range(1_000_000)), {}, "parameters: at most 4096 characters"),
+        ("a" * 4097, {}, "parameters: at most 4096 characters"),
+        ("", {"payload": bytes(1025)}, "payload: at most 1024 bytes"),
+        ("", {"attachment": bytes(1025)}, "attachment: at most 1024 bytes"),
+    ],
+)
+def test_a_query_longer_than_any_of_use_takes_no_turn(cross, monkeypatch, parameters, besides, named):
+    def take(*_):
+        raise AssertionError("it has a turn")
+
+    monkeypatch.setattr(Turns, "take", take)
+    (reply,) = cross.ask("status", parameters, **besides)
+    problem = json.loads(reply.err.payload.to_bytes())
+    assert (problem["status"], problem["type"]) == (400, "bad-parameter")
+    assert problem["detail"].startswith(named)
+
+
+def test_a_query_as_long_as_is_read_is_answered(cross):
+    (reply,) = cross.ask("status", "t=" + "a" * 4094, payload=bytes(1024), attachment=bytes(1024))
+    assert json.loads(reply.ok.payload.to_bytes())["map"] == "hall"
+
+
+LONG = "a" * 2000
+
+
+@pytest.mark.parametrize(
+    ("key", "given"),
+    [
+        *(("map", f"format={form}") for form in (LONG, f"png;palette={LONG}", f"png;max_size={LONG}")),
+        *(("map", f"{name}={LONG}") for name in ("region", "values", LONG)),
+        ("map", f"region={LONG},1,1,1"),
+        *(("cell", f"{x}={LONG};{y}=1") for x, y in ("xy", "yx")),
+        *((name, f"{LONG}=1") for name in ("status", "quality", "reset")),
+        ("status", f"{LONG[:1500]};{LONG[:1500]}"),
+    ],
+)
+def test_an_error_repeats_little_of_what_was_given(cross, key, given):
+    over_zenoh = cross.problem(key, given)["detail"]
+    assert "a" * 100 + "..." in over_zenoh
+    assert len(over_zenoh) < 250
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *(f"/map.png?{name}={LONG}" for name in ("region", "palette", "max_size", LONG)),
+        f"/map.json?values={LONG}",
+        f"/cell?x={LONG}&y=1",
+        f"/status?{LONG}=1&{LONG}=1",
+    ],
+)
+def test_so_do_errors_over_http(cross, path):
+    detail = cross.http.get(path).json()["detail"]
+    assert "a" * 100 + "..." in detail
+    assert len(detail) < 250
 
 
 def test_queryables_do_not_claim_to_be_complete(cross):

@@ -2,11 +2,13 @@
 
 import json
 import threading
+from contextlib import ExitStack
 
 import pytest
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
+from ogm_services.replies import queryables as queryables_module
 from ogm_services.replies import turns as turns_module
 from ogm_services.replies.answer import Answer
 from ogm_services.replies.queryables import Queryables
@@ -99,3 +101,101 @@ def test_who_waits_too_long_is_told_while_all_threads_are_busy(service, ask, eve
     service.go_on.set()
     eventually(lambda: len(replies) == 5, DEADLINE)
     assert service.begun == 2
+
+
+class StuckLink:
+    """A session whose queries come from a reader that takes nothing until `moves`."""
+
+    def __init__(self):
+        self.moves, self.sending, self.ended = threading.Event(), [], 0
+
+    def declare_queryable(self, _key, handler, complete):
+        self.ask = lambda parameters="": handler.callback(StuckQuery(self, parameters))
+        return ExitStack()
+
+
+class StuckQuery:
+    key_expr, payload, attachment = KEY, None, None
+
+    def __init__(self, link, parameters):
+        self.parameters, self._link = parameters, link
+
+    def reply(self, *_, **__):
+        self._send("ok")
+
+    def reply_err(self, body, **_):
+        self._send(json.loads(body)["type"])
+
+    def _send(self, what):
+        self._link.sending.append(what)
+        assert self._link.moves.wait(DEADLINE)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._link.ended += 1
+
+
+@pytest.fixture
+def stuck():
+    """`stuck(body, threads)`: a StuckLink, whose queries get `body`."""
+    with ExitStack() as opened:
+
+        def declare(body, threads):
+            link, turns = StuckLink(), Turns("test", threads=threads)
+            queryables = Queryables(link)
+            for end in (turns.close, queryables.close, link.moves.set):
+                opened.callback(end)
+            queryables.declare(KEY, lambda _: Answer(body, "text/plain"), turns)
+            return link
+
+        yield declare
+
+
+def test_refusals_hold_up_neither_who_calls_nor_who_sees_to_the_late(stuck, eventually, monkeypatch):
+    monkeypatch.setattr(turns_module, "PATIENCE", 0.2)
+    link = stuck(b"small", threads=1)
+    link.ask("a" * 5000)  # it would not return
+    for _ in range(1 + MAX_WAITING + 10):
+        link.ask()
+    eventually(lambda: sorted(link.sending) == ["bad-parameter", "ok"], DEADLINE)
+    (clock,) = (t for t in threading.enumerate() if t.name == "ogm-test-clock")
+    link.moves.set()
+    eventually(lambda: link.ended == 1 + MAX_WAITING + 11, DEADLINE)
+    assert link.sending.count("busy") >= 10
+    assert link.sending.count("bad-parameter") == 1
+    assert clock.is_alive()
+
+
+def test_past_so_many_errors_that_wait_queries_end_without_one(stuck, eventually, caplog):
+    link = stuck(b"small", threads=1)
+    for _ in range(2):
+        link.ask("long" * 2000)
+    eventually(lambda: link.sending == ["bad-parameter"], DEADLINE)
+    for _ in range(3):
+        link.ask("long" * 2000)
+    assert (link.ended, caplog.records) == (0, [])
+    for _ in range(5):
+        link.ask("long" * 2000)
+    assert link.ended == 5
+    assert [record.getMessage() for record in caplog.records] == [
+        "error replies: 4 wait to be sent: a query gets none"
+    ]
+    link.moves.set()
+    eventually(lambda: link.ended == 10, DEADLINE)
+    assert link.sending == ["bad-parameter"] * 5
+
+
+def test_at_most_four_large_answers_are_sent_at_once(stuck, eventually, monkeypatch):
+    monkeypatch.setattr(queryables_module, "LARGE_PATIENCE", 0.2)
+    link = stuck(bytes(100_000), threads=8)
+    for _ in range(8):
+        link.ask()
+    eventually(lambda: sorted(link.sending) == ["busy", *["ok"] * 4], DEADLINE)
+    link.moves.set()
+    eventually(lambda: link.ended == 8, DEADLINE)
+    assert sorted(link.sending) == [*["busy"] * 4, *["ok"] * 4]
+    link.ask()
+    eventually(lambda: link.ended == 9, DEADLINE)
+    assert link.sending[-1] == "ok"

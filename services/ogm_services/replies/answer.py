@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ogm_core.errors import BadInput, BadParameter, OgmError
+from ogm_core.errors import BadInput, BadParameter, OgmError, cut
 
 Parameters = Mapping[str, str]
 
@@ -16,7 +16,7 @@ def refuse_parameters(given: Parameters, name: str) -> None:
         BadParameter: there is one; the text names it.
     """
     if given:
-        raise BadParameter(f"{next(iter(given))}: {name} has no parameters")
+        raise BadParameter(f"{cut(next(iter(given)))}: {name} has no parameters")
 
 
 class UnknownName(OgmError):

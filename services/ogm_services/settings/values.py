@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, SecretStr
 
+from ogm_core.errors import cut
 from ogm_core.lattice import Region
 from ogm_core.types import Pose
 from ogm_core.wire.keys import DEFAULT_ADDRESS
@@ -52,7 +53,7 @@ def parse_number(text: str) -> float:
         ValueError: it is something else.
     """
     if not _NUMBER.fullmatch(text):
-        raise ValueError(f"a number is needed, got {text!r}")
+        raise ValueError(f"a number is needed, got {cut(text)!r}")
     return float(text)
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from ogm_core.errors import BadParameter
+from ogm_core.errors import BadParameter, cut
 from ogm_core.files.map_files import (
     DEFAULT_PALETTE,
     PALETTES,
@@ -119,7 +119,7 @@ class Answers:
         """
         self.check_ready()
         if form not in MAP_FORMATS:
-            raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {form!r}")
+            raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {cut(form)!r}")
         wanted = MAP_FORMATS[form]
         _check_names(given, wanted.parameters)
         asked = self._map.now
@@ -278,7 +278,7 @@ def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[(
     for name in given:
         if name not in allowed:
             listed = ", ".join(sorted(allowed)) or "none"
-            raise BadParameter(f"{name}: unknown parameter; there are: {listed}")
+            raise BadParameter(f"{cut(name)}: unknown parameter; there are: {listed}")
 
 
 def _cropped(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
@@ -286,7 +286,7 @@ def _cropped(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
         return snapshot
     parts = given["region"].split(",")
     if len(parts) != 4:
-        raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {given['region']!r}")
+        raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {cut(given['region'])!r}")
     return snapshot.crop(Region(*(_number("region", part) for part in parts)))
 
 
@@ -295,7 +295,7 @@ def _shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
         return snapshot
     text = given["max_size"]
     if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) > 0):
-        raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {text!r}")
+        raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {cut(text)!r}")
     return snapshot.shrink(int(text))
 
 

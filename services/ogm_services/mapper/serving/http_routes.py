@@ -16,7 +16,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ogm_core.errors import BadParameter, OgmError
+from ogm_core.errors import BadParameter, OgmError, cut
 from ogm_core.status import Status
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.mapper.serving.api_description import (
@@ -219,7 +219,9 @@ def _parameters_of(request: Request, *, allowed: bool = True) -> Parameters:
     given: dict[str, str] = {}
     for name, value in request.query_params.multi_items():
         if name in given or not allowed:
-            raise BadParameter(f"{name}: {'given twice' if allowed else 'unknown parameter; there are none'}")
+            raise BadParameter(
+                f"{cut(name)}: {'given twice' if allowed else 'unknown parameter; there are none'}"
+            )
         given[name] = value
     return given
 
