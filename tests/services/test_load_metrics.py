@@ -17,7 +17,7 @@ def told(*sources):
 
 
 def test_what_waits_is_told_with_its_limits():
-    queue = ScanQueue(10)
+    queue = ScanQueue(10, max_bytes=4096)
     queue.put(Message(Source("r", "s"), bytes(1000), 0.0))
     queue.put(Message(Source("r", None), bytes(24), 0.0))
     work, *rest = told(partial(queue_metrics, queue))
@@ -26,7 +26,7 @@ def test_what_waits_is_told_with_its_limits():
     assert rest == [
         'ogm_queue_work_limit_seconds{map="hall"} 5.0',
         'ogm_queue_bytes{map="hall"} 1024.0',
-        'ogm_queue_limit_bytes{map="hall"} 2.68435456e+08',
+        'ogm_queue_limit_bytes{map="hall"} 4096.0',
     ]
 
 

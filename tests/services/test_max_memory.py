@@ -186,6 +186,9 @@ def test_a_mapper_with_little_memory_bears_floods_and_answers(start_mapper, no_e
         assert dropped["no_pose"] + dropped["overload"] >= 498
         assert dropped["limit"] > 100
         assert memory.held()["waiting"] <= memory.limits()["waiting"] == MEBIBYTE
+        assert memory.held()["queue"] <= memory.limits()["queue"] == MEBIBYTE
+        metrics = mapper.http.get("/metrics").text
+        assert 'ogm_memory_kind_limit_bytes{kind="queue",map="hall"} 1.048576e+06' in metrics
         assert mapper.http.get("/map.png").status_code == 200
         assert memory.total() <= memory.limit
         assert resident() < before + 150 * MEBIBYTE

@@ -132,9 +132,8 @@ def test_a_dropped_scan_gives_its_payload_back():
     assert first.payload == b""
 
 
-def test_bytes_are_limited_too(monkeypatch):
-    monkeypatch.setattr(queue_module, "MAX_BYTES", 1000)
-    queue = ScanQueue(100)
+def test_bytes_are_limited_too():
+    queue = ScanQueue(100, max_bytes=1000)
     assert queue.put(item(A, "a1", 400)) == []
     assert queue.put(item(B, "b1", 300)) == []
     assert queue.put(item(A, "a2", 300)) == []
@@ -144,18 +143,16 @@ def test_bytes_are_limited_too(monkeypatch):
     assert [name.rstrip(".") for name in drain(queue)] == ["b1", "a2", "p", "a3", "a4"]
 
 
-def test_one_message_may_drop_several_scans(monkeypatch):
-    monkeypatch.setattr(queue_module, "MAX_BYTES", 1000)
-    queue = ScanQueue(100)
+def test_one_message_may_drop_several_scans():
+    queue = ScanQueue(100, max_bytes=1000)
     for k in range(5):
         queue.put(item(A, str(k), 200))
     assert queue.put(item(A, "big", 900)) == [A] * 5
     assert [name.rstrip(".") for name in drain(queue)] == ["big"]
 
 
-def test_a_single_scan_beyond_the_limit_is_kept(monkeypatch):
-    monkeypatch.setattr(queue_module, "MAX_BYTES", 1000)
-    queue = ScanQueue(100)
+def test_a_single_scan_beyond_the_limit_is_kept():
+    queue = ScanQueue(100, max_bytes=1000)
     assert queue.put(item(A, "huge", 5000)) == []
     assert queue.put(item(A, "next", 10)) == [A]
     assert [name.rstrip(".") for name in drain(queue)] == ["next"]

@@ -143,7 +143,8 @@ class MapperService:
         self.memory = MemoryUse(limits.max_memory)
         self.live_map = LiveMap(grid, self.memory)
         sizes = ScanSizes(grid.settings, SensorRules(settings.sensor_rules()))
-        receipts, queue = Receipts(), ScanQueue(limits.queue, sizes.cells)
+        receipts = Receipts()
+        queue = ScanQueue(limits.queue, sizes.cells, self.memory.share(MAX_BYTES))
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
         self._metrics = Metrics(partial(queue_metrics, queue), partial(memory_metrics, self.memory))
@@ -155,7 +156,7 @@ class MapperService:
             integrated=measured.scan_integrated,
             limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),
         )
-        self.memory.add("queue", lambda: queue.bytes, MAX_BYTES)
+        self.memory.add("queue", lambda: queue.bytes, queue.max_bytes)
         self.memory.add("waiting", lambda: placer.waiting_bytes, share)
         self._queue, self._receipts, self._placer = queue, receipts, placer
         self._overload = Overload(queue, receipts)

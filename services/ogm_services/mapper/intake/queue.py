@@ -12,11 +12,11 @@ from ogm_services.mapper.intake.largest import Largest
 from ogm_services.mapper.intake.work import CellRate
 
 MAX_BYTES = 256 * 1024**2
-"""Payload that may wait, whatever the number of scans."""
+"""Payload that may wait, whatever the number of scans, unless there is less memory."""
 MAX_WORK = 5.0
 """Work that may wait, by what the cells of each robot's scans have taken so far, s."""
 MAX_POSES = 100_000
-"""Poses are never dropped: past this many waiting, or MAX_BYTES of them, their sender is made to wait."""
+"""Poses are never dropped: past this many waiting, or `max_bytes` of them, their sender is made to wait."""
 MAX_POSES_OF_ROBOT = 10_000
 """The same for those of one robot: whoever floods waits for room of its own."""
 BEHIND = 0.25
@@ -80,7 +80,14 @@ class ScanQueue:
     `cells_of` tells how large a scan is. A queue that is worked off as it comes does not ask.
     """
 
-    def __init__(self, max_scans: int, cells_of: Callable[[Source, bytes], float] | None = None) -> None:
+    def __init__(
+        self,
+        max_scans: int,
+        cells_of: Callable[[Source, bytes], float] | None = None,
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
+        self.max_bytes = max_bytes
+        """Payload that may wait."""
         self._max_scans = max_scans
         self._cells_of = cells_of or (lambda *_: 1.0)
         self._unseen: deque[Message] = deque()
@@ -199,7 +206,7 @@ class ScanQueue:
 
     def _wait_for_room(self, name: str) -> None:
         def there_is() -> bool:
-            full = self._poses >= MAX_POSES or self._pose_size >= MAX_BYTES
+            full = self._poses >= MAX_POSES or self._pose_size >= self.max_bytes
             return self._closed or not (full or self._robot(name).poses >= MAX_POSES_OF_ROBOT)
 
         if not there_is():
@@ -242,7 +249,7 @@ class ScanQueue:
         """Whether more waits than this part of a bound."""
         return (
             self._scans > part * self._max_scans
-            or self._size > part * MAX_BYTES
+            or self._size > part * self.max_bytes
             or self._work > part * MAX_WORK
         )
 
@@ -251,7 +258,7 @@ class ScanQueue:
         robot = self._robots.get(name)
         if robot is None:
             return 0.0
-        return max(robot.work / MAX_WORK, robot.size / MAX_BYTES, len(robot.scans) / self._max_scans)
+        return max(robot.work / MAX_WORK, robot.size / self.max_bytes, len(robot.scans) / self._max_scans)
 
     def _look(self) -> None:
         """Look how large some of the scans are that wait."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from prometheus_client.metrics_core import Metric
 
-from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
 from ogm_services.mapper.serving.metrics import gauge, gauges
 from ogm_services.runtime.memory import MemoryUse
 
@@ -14,7 +14,7 @@ def queue_metrics(queue: ScanQueue) -> Iterator[Metric]:
     yield gauge("ogm_queue_work_seconds", "Time that the scans that wait will take, about.", queue.work)
     yield gauge("ogm_queue_work_limit_seconds", "How much of it may wait.", MAX_WORK)
     yield gauge("ogm_queue_bytes", "Payload of the messages that wait.", queue.bytes)
-    yield gauge("ogm_queue_limit_bytes", "How much of it may wait.", MAX_BYTES)
+    yield gauge("ogm_queue_limit_bytes", "How much of it may wait.", queue.max_bytes)
 
 
 def memory_metrics(memory: MemoryUse) -> Iterator[Metric]:
