@@ -36,14 +36,18 @@ class _Sensor:
     integrated: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     hints: list[str] = field(default_factory=list)
+    told: SourceStatus | None = None
+    """What its status was, until it changes: of thousands few change between two who ask."""
 
     @property
     def pending(self) -> int:
         return self.received - self.integrated - self.dropped.total()
 
     def status(self) -> SourceStatus:
-        counts = self.received, self.pending, self.integrated
-        return SourceStatus(self.run, self.last_seq, *counts, dict(self.dropped), list(self.hints))
+        if self.told is None:
+            counts = self.received, self.pending, self.integrated
+            self.told = SourceStatus(self.run, self.last_seq, *counts, dict(self.dropped), list(self.hints))
+        return self.told
 
 
 @dataclass(slots=True)
@@ -109,7 +113,8 @@ class Receipts:
             if entry is None or (sensor not in entry.sensors and len(entry.sensors) >= MAX_SENSORS):
                 self._scans.dropped["refused"] += 1
                 return False
-            entry.sensors.setdefault(sensor, _Sensor()).received += 1
+            entry.sensors.setdefault(sensor, _Sensor())
+            self._changing(robot, sensor).received += 1
             return True
 
     def heard(self, robot: str, now: float) -> None:
@@ -156,7 +161,7 @@ class Receipts:
     def hint(self, robot: str, sensor: str, slug: str) -> None:
         """Note what looks wrong with a source's data, each once."""
         with self._lock:
-            hints = self._sensor(robot, sensor).hints
+            hints = self._changing(robot, sensor).hints
             if slug not in hints:
                 hints.append(slug)
 
@@ -175,20 +180,20 @@ class Receipts:
     def scan_taken(self, robot: str, sensor: str, run: str, seq: int) -> None:
         """Note the last scan that the worker has taken from the queue."""
         with self._lock:
-            entry = self._sensor(robot, sensor)
+            entry = self._changing(robot, sensor)
             entry.run, entry.last_seq = run, seq
 
     def scan_integrated(self, robot: str, sensor: str) -> None:
         """Count a scan that is in the map."""
         with self._lock:
             self._scans.integrated += 1
-            self._sensor(robot, sensor).integrated += 1
+            self._changing(robot, sensor).integrated += 1
 
     def scan_dropped(self, robot: str, sensor: str, reason: DropReason) -> None:
         """Count a scan that will never be in the map."""
         with self._lock:
             self._scans.dropped[reason] += 1
-            self._sensor(robot, sensor).dropped[reason] += 1
+            self._changing(robot, sensor).dropped[reason] += 1
 
     def status(self, now: float | None = None) -> MessageCounts:
         """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s."""
@@ -226,8 +231,11 @@ class Receipts:
             entry = self._robots[robot] = _Robot(seen=now)
         return entry
 
-    def _sensor(self, robot: str, sensor: str) -> _Sensor:
-        """The counts of a sensor; some that nobody looks at if it has none."""
+    def _changing(self, robot: str, sensor: str) -> _Sensor:
+        """The counts of a sensor, to change them; some that nobody looks at if it has none."""
         entry = self._robots.get(robot)
         found = None if entry is None else entry.sensors.get(sensor)
-        return _Sensor() if found is None else found
+        if found is None:
+            return _Sensor()
+        found.told = None
+        return found

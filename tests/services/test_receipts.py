@@ -159,3 +159,21 @@ def test_the_books_balance_at_every_moment_whatever_other_threads_do():
     assert unbalanced == []
     scans = as_json(receipts.status())["scans"]
     assert (scans["received"], scans["integrated"], scans["pending"]) == (3 * rounds, 3 * rounds // 2, 0)
+
+
+def test_a_sensors_status_is_new_after_every_change():
+    receipts = Receipts()
+    changes = [
+        (lambda: receipts.scan_received("r", "s"), "received", 2),
+        (lambda: receipts.scan_taken("r", "s", "run", 7), "last_seq", 7),
+        (lambda: receipts.scan_integrated("r", "s"), "integrated", 1),
+        (lambda: receipts.scan_dropped("r", "s", "stale"), "dropped", {"stale": 1}),
+        (lambda: receipts.hint("r", "s", "odd"), "hints", ["odd"]),
+    ]
+    receipts.scan_received("r", "s")
+    for change, field, value in changes:
+        before = receipts.status().robots["r"].sources["s"]
+        assert receipts.status().robots["r"].sources["s"] is before, "made once"
+        change()
+        assert getattr(before, field) != value
+        assert getattr(receipts.status().robots["r"].sources["s"], field) == value

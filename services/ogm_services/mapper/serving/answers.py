@@ -23,9 +23,10 @@ from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.status import Status, encode_status
+from ogm_core.status import Status
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.serving.kept_status import KeptStatus
 from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
 from ogm_services.settings.values import parse_number
 
@@ -85,10 +86,12 @@ class Answers:
         self._receipts = receipts
         self._started = time.monotonic()
         self._cache = _AnswerCache(self.now)
+        self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._ready = ready
         self._caches: list[Callable[[], int]] = [
             lambda: self._cache.nbytes,
+            lambda: self._status.nbytes,
             lambda: sum(picture.nbytes for picture in self._pictures.values()),
         ]
 
@@ -180,7 +183,8 @@ class Answers:
     def status(self, given: Parameters) -> Answer:
         """The mapper's status."""
         _check_names(given, ())
-        return Answer(encode_status(self.current_status()), "application/json")
+        self.check_ready()
+        return Answer(self._status.get().body, "application/json")
 
     def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
         """The quality figures, not yet encoded; those of the whole map may be a second old unless `fresh`.
@@ -194,8 +198,11 @@ class Answers:
         return {**figures, "series": series}
 
     def current_status(self) -> Status:
-        """The mapper's status, not yet encoded."""
+        """The mapper's status, not encoded: the same that `status` answers with."""
         self.check_ready()
+        return self._status.get().status
+
+    def _new_status(self) -> Status:
         counts = self._receipts.status(time.monotonic())
         epoch, revision, stamp = self._map.now
         return Status(
