@@ -42,7 +42,7 @@ class Sink:
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None, limits=NO_LIMITS, **rules):
+    def __init__(self, sink=None, limits=NO_LIMITS, stopping=lambda: False, **rules):
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.log = LimitedLog(logging.getLogger(__name__))
@@ -54,6 +54,7 @@ class Desk:
             *(self.sink, self.receipts, self.complain, PlacingRules(**rules)),
             integrated=self.arrivals.append,
             limits=limits,
+            stopping=stopping,
         )
         self._tags = {}
         self.now = 0.0

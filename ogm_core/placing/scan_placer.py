@@ -69,10 +69,11 @@ class ScanPlacer:
         hints: Hints | None = None,
         integrated: Callable[[float], None] = lambda _: None,
         limits: WaitingLimits = NO_LIMITS,
+        stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
-        `limits` of the scans that wait for poses.
+        `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
         """
         self._sink = sink
         self._integrated = integrated
@@ -84,6 +85,7 @@ class ScanPlacer:
         self._messages = 0
         self._held = Held()
         self._limits = limits
+        self._stopping = stopping
 
     @property
     def waiting_bytes(self) -> int:
@@ -251,6 +253,9 @@ class ScanPlacer:
         """Try every scan that waits, in order of arrival."""
         bugs = []
         for item in robot.waiting.take():
+            if self._stopping():
+                robot.waiting.append(item)
+                continue
             try:
                 self._try(name, robot, item)
             except Exception as bug:  # noqa: BLE001 (raised below)

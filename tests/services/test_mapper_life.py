@@ -17,7 +17,7 @@ from ogm_services.mapper.live import load
 from ogm_services.mapper.serving.answers import MAP_FORMATS
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
-from ogm_services.mapper.serving.http_server import CannotServe
+from ogm_services.mapper.serving.http_server import CannotServe, HttpThread
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.replies.answer import Unavailable
 
@@ -171,6 +171,22 @@ def test_while_it_stops_it_is_not_ready_and_says_so(start_mapper, in_background,
         try:
             answer = eventually(lambda: (a := mapper.http.get("/readyz")).status_code == 503 and a)
             assert answer.text == "the mapper is stopping"
+            assert mapper.http.get("/livez").status_code == 200
+        finally:
+            go_on.set()
+        ended.result(30.0)
+
+
+def test_a_worker_that_was_stopped_is_no_reason_to_start_the_mapper_again(
+    start_mapper, in_background, eventually, monkeypatch
+):
+    go_on, stop = threading.Event(), HttpThread.__exit__
+    monkeypatch.setattr(HttpThread, "__exit__", lambda http, *why: (go_on.wait(30.0), stop(http, *why)))
+    with start_mapper() as mapper:
+        ended = in_background(mapper.service.__exit__, None, None, None)
+        try:
+            eventually(lambda: not mapper.service.working)
+            assert mapper.http.get("/readyz").text == "the mapper is stopping"
             assert mapper.http.get("/livez").status_code == 200
         finally:
             go_on.set()

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.metadata
 import ipaddress
 import logging
+import os
 import socket
 import sys
 import threading
@@ -13,7 +14,7 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NoReturn, Self
 
 import typer
 
@@ -51,6 +52,7 @@ from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.replies.in_flight import MAX_IN_FLIGHT, InFlight
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
+from ogm_services.runtime.bounded_close import close_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
@@ -68,12 +70,22 @@ COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
 WAITING_BYTES = 256 * MEBIBYTE
 """What scans may hold that wait for poses, of all robots."""
+STOP_TIME = 10.0
+"""How long a mapper may take to stop, s."""
+WORKER_TIME = 2.0
+"""How long after that the worker may take, so that the map can be written, s."""
 FIGURES_TIME = 5.0
 """How long a mapper that has stopped computes figures of its map, s."""
 
 log = logging.getLogger(__name__)
 reset_log = logging.getLogger(f"{__name__}.reset")
 """Of its own, so that a flood of resets keeps no other line out."""
+
+
+class NotStopped(OgmError):
+    """The mapper did not stop in time: some of its threads go on."""
+
+    slug = "not-stopped"
 
 
 class ServiceStopped(OgmError):
@@ -90,6 +102,8 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
         AlreadyMapped: another mapper of this map is alive.
         BadInput: the folder `out` cannot be written, or the map that it starts with is not what is needed.
         ServiceStopped: it ended by itself; the map's files are written all the same.
+
+    A mapper that does not stop within STOP_TIME ends the process, with code 1.
     """
     if out is not None:
         check_folder(out)
@@ -102,11 +116,28 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
             for line in service.addresses:
                 typer.echo(line)
             service.wait()
+    except NotStopped as stuck:
+        _end_as_it_is(stuck, out, service)
     finally:
         if service.was_ready:
             log.info("the mapper has stopped: %s", service.totals())
         if out is not None and service.was_ready:
             _write_results(out, service)
+
+
+def _end_as_it_is(stuck: NotStopped, out: Path | None, service: "MapperService") -> NoReturn:
+    """End the process in which something does not stop, after the map's files if nobody writes the map."""
+    try:
+        for error in (stuck.__context__, stuck):
+            if isinstance(error, OgmError):
+                typer.echo(f"ogm: {error}", err=True)
+        if out is not None and service.working:
+            typer.echo(f"ogm: the map's files are not written into {out}: the map is still in use", err=True)
+        elif out is not None:
+            _write_results(out, service)
+    finally:
+        sys.stdout.flush()
+        os._exit(1)  # whatever else waits at the end of a process waits for all threads
 
 
 def _write_results(out: Path, service: "MapperService") -> None:
@@ -155,6 +186,7 @@ class MapperService:
             hints=hints,
             integrated=measured.scan_integrated,
             limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),
+            stopping=lambda: queue.closed,
         )
         self.memory.add("queue", lambda: queue.bytes, queue.max_bytes)
         self.memory.add("waiting", lambda: placer.waiting_bytes, share)
@@ -171,7 +203,7 @@ class MapperService:
         self._watch = Watch([RobotPresence(receipts.presence).look, falling_behind.look])
         self._stopping = threading.Event()
         self._health = Health(
-            alive=lambda: self._worker.alive or not self.was_ready,
+            alive=lambda: self._worker.alive or not self.was_ready or self._stopping.is_set(),
             reasons=[
                 lambda: None if self.was_ready else "the mapper is still starting",
                 lambda: "the mapper is stopping" if self._stopping.is_set() else None,
@@ -202,7 +234,17 @@ class MapperService:
     ) -> None:
         self._stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
         self.live_map.stop()  # else whoever has asked for figures would keep HTTP and Zenoh from ending
-        self._open.close()
+        held_by = close_within(STOP_TIME, self._open.close)
+        if held_by is not None:
+            self._worker.stop(WORKER_TIME)
+            raise NotStopped(
+                f"the mapper has not stopped within {STOP_TIME:g} s, so it ends as it is: {held_by}"
+            )
+
+    @property
+    def working(self) -> bool:
+        """Whether the worker runs, which alone writes the map."""
+        return self._worker.alive
 
     @property
     def was_ready(self) -> bool:

@@ -55,10 +55,10 @@ class Worker:
         """Begin to take messages from the queue."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """Finish the message in hand, and end. Messages that still wait stay pending."""
+    def stop(self, timeout: float | None = None) -> None:
+        """Finish the scan in hand, and end, or go on after `timeout` s. Messages that wait stay pending."""
         self._queue.close()
-        self._thread.join()
+        self._thread.join(timeout)
 
     def do(self, command: Callable[[], None], timeout: float = 30.0) -> None:
         """Run `command` on the worker's thread, after every message that came before; wait until it is done.
