@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import zenoh
 
+from ogm_client.certificates import check_certificates, of_certificates
 from ogm_client.errors import CannotConnect, CannotListen
 from ogm_core.errors import BadSetting
 from ogm_core.wire.keys import DEFAULT_ADDRESS
@@ -82,7 +83,8 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
     Whoever is to wait longer than CONNECT_TIMEOUT is told so, once, in the log.
 
     Raises:
-        BadSetting: an endpoint or the configuration file is ill-formed, or there is no endpoint at all.
+        BadSetting: an endpoint or the configuration file is ill-formed, or there is no endpoint at all; or a
+            certificate or key that the file names is missing, or is none.
         CannotConnect: no host of the endpoints to connect to is known, which is said at once; or nothing
             takes connections there in time.
         CannotListen: an endpoint to listen on is taken, or is not this machine's.
@@ -91,6 +93,7 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
         _check_endpoint(endpoint)
     settings = _hermetic(config) if config.config_file is None else _from_file(config.config_file, config)
     _check_hosts(config.connect)
+    check_certificates(settings, f"{_endpoints(settings, 'listen')}, {_endpoints(settings, 'connect')}")
     began, told = time.monotonic(), config.connect_timeout <= CONNECT_TIMEOUT
     turn, attempt = config.connect, _attempt(config)
     while True:
@@ -105,7 +108,7 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
             told = True
             endpoints = _endpoints(settings, "connect")
             log.warning(
-                "waiting for a mapper or a Zenoh router at %s%s", endpoints, _of_certificates(endpoints)
+                "waiting for a mapper or a Zenoh router at %s%s", endpoints, of_certificates(endpoints)
             )
         if len(turn) > 1:  # a client tries the first one for all of its time, and never comes to the others
             turn = (*turn[1:], turn[0])
@@ -260,21 +263,14 @@ def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | Can
     if connect and (not listen or text.startswith("Unable to connect")):
         return CannotConnect(
             f"cannot connect to {connect}: is a mapper running there? Start one with `ogm mapper`, or give "
-            f"the address of a running mapper or Zenoh router{_of_certificates(connect)}"
+            f"the address of a running mapper or Zenoh router{of_certificates(connect)}"
         )
     if listen:
-        return CannotListen(
-            f"cannot listen on {listen}: {text.rpartition(': ')[2].rstrip(']')}. Is another mapper running? "
-            "Choose another address (--listen); port 0 takes a free one"
-        )
+        why = text.rpartition(": ")[2].rstrip("]")
+        if "in use" in why:
+            why += ". Is another mapper running? Choose another address (--listen); port 0 takes a free one"
+        return CannotListen(f"cannot listen on {listen}: {why}")
     return CannotConnect(f"cannot open a Zenoh session: {text}")
-
-
-def _of_certificates(endpoints: str) -> str:
-    """What else may be wrong where endpoints speak TLS: Zenoh itself does not tell."""
-    if not any(f"{protocol}/" in endpoints for protocol in ("tls", "quic")):
-        return ""
-    return "; with TLS each side needs a certificate that the other one's authority has signed, for its name"
 
 
 def _endpoints(settings: zenoh.Config, key: str) -> str:
