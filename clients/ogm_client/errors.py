@@ -42,14 +42,23 @@ class NobodyAnswered(ClientError):
     slug = "nobody-answered"
 
 
-def nobody(map_name: str, where: str, timeout: float) -> NobodyAnswered:
-    """Say that no mapper of the map answered, and what to check; `timeout` in seconds.
+_EARLY = 0.05
+"""How much before its time a question may end that was waited for, s."""
 
-    `where` is "at ADDRESS", or what else says how it was asked.
+
+def nobody(
+    map_name: str, where: str, timeout: float, waited: float, *, secured: bool = False
+) -> NobodyAnswered:
+    """Say that no mapper of the map answered, and what to check.
+
+    `where` is "at ADDRESS", or what else says how it was asked; `timeout` and `waited` in seconds: Zenoh ends
+    a question at once that it hands to nobody; `secured`: certificates say who may ask.
     """
+    within = f" within {timeout:g} s" if waited >= timeout - _EARLY else ""
+    denied = ", or does access control not let this certificate ask?" if secured else "?"
     return NobodyAnswered(
-        f"no mapper of map {map_name!r} answered {where} within {timeout:g} s: "
-        f"is `ogm mapper` running there, with --map {map_name}?"
+        f"no mapper of map {map_name!r} answered {where}{within}: "
+        f"is `ogm mapper` running there, with --map {map_name}{denied}"
     )
 
 

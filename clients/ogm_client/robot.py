@@ -18,7 +18,7 @@ from ogm_client.channel import Channel
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
 from ogm_client.heard import not_heard
 from ogm_client.map_client import MapClient
-from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session, reason
+from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, is_secured, open_session, reason
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
@@ -210,7 +210,7 @@ class RobotPublisher:
         channel = self._pose_channel()
         while not channel.matched:
             if time.monotonic() >= deadline:
-                raise nobody(self._keys.map_name, self._where, timeout)
+                raise self._nobody(timeout, timeout)
             time.sleep(_POLL)
 
     def feedback(self, timeout: float = 5.0) -> RobotStatus:
@@ -233,10 +233,11 @@ class RobotPublisher:
         if self._closed:
             raise ClientError(f"robot {self.robot!r}: the publisher is closed")
         client = MapClient(session=self._session, map_name=self._keys.map_name, timeout=timeout)
+        asked = time.monotonic()
         try:
             whole = client.status()
         except NobodyAnswered as error:
-            raise nobody(self._keys.map_name, self._where, timeout) from error
+            raise self._nobody(timeout, time.monotonic() - asked) from error
         status = whole.robots.get(self.robot, RobotStatus(None, None))
         with self._channels_lock:
             channels = list(self._channels.items())
@@ -262,6 +263,10 @@ class RobotPublisher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _nobody(self, timeout: float, waited: float) -> NobodyAnswered:
+        secured = is_secured(self._session)
+        return nobody(self._keys.map_name, self._where, timeout, waited, secured=secured)
 
     def _looked_at(self, stamp: int) -> int:
         """The stamp itself; warns, once, of one that looks like another unit than ns."""

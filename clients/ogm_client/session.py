@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import zenoh
 
-from ogm_client.certificates import check_certificates, of_certificates
+from ogm_client.certificates import check_certificates, of_certificates, speaks_tls
 from ogm_client.errors import CannotConnect, CannotListen
 from ogm_core.errors import BadSetting
 from ogm_core.wire.keys import DEFAULT_ADDRESS
@@ -149,6 +149,11 @@ def listens_on(config_file: Path | None) -> tuple[str, ...]:
     if config_file is None:
         return ()
     return tuple(filter(None, _endpoints(_from_file(config_file, NetworkConfig()), "listen").split(", ")))
+
+
+def is_secured(session: zenoh.Session) -> bool:
+    """Whether certificates say who is at the ends of a session's links: then its questions may be denied."""
+    return any(speaks_tls(str(link.dst)) for link in session.info.links())
 
 
 def reason(error: zenoh.ZError) -> str:

@@ -7,7 +7,7 @@ import msgpack
 import zenoh
 
 from ogm_client.errors import BadReply, ClientError, nobody
-from ogm_client.session import NetworkConfig, open_session, reason
+from ogm_client.session import NetworkConfig, is_secured, open_session, reason
 from ogm_client.transport import (
     MAX_PROBLEM_BYTES,
     Limits,
@@ -107,7 +107,9 @@ class ZenohTransport:
                 payload = _content(f"error reply to {service}", reply.err.payload, MAX_PROBLEM_BYTES)
                 if payload != _TIMED_OUT:
                     raise mapper_error(service, payload)
-        raise nobody(self._keys.map_name, self._where, self._limits.timeout)
+        timeout, over = self._limits.timeout, time.monotonic() - deadline
+        secured = is_secured(self._session)
+        raise nobody(self._keys.map_name, self._where, timeout, timeout + over, secured=secured)
 
 
 def _content(what: str, payload: zenoh.ZBytes, limit: int) -> bytes:
