@@ -269,6 +269,16 @@ def test_nobody_overhears_a_robot(site, mapper, eventually):
         assert heard == []
 
 
+def test_a_replay_and_a_simulator_that_are_denied_say_so(site, mapper, module_ogm, lab_recording, unchanged):
+    denied = ["--zenoh-config", site.client("robot2")]
+    simulator = module_ogm.start("simulate", "--robot-prefix", "robot", *denied)
+    replay = module_ogm.run("replay", lab_recording, "--robot", "robot1", "--speed", "max", *denied)
+    said = "'robot1': the mapper of map 'default' hears nothing of the "
+    assert f"never received; robot {said}" in replay.complaint(1)
+    assert "does access control let them through, is the name that of the certificate" in replay.err
+    simulator.complains(said)
+
+
 def test_get_and_status_go_in_with_a_certificate(site, mapper, module_ogm, unchanged):
     viewer = site.client("viewer")
     (site.folder / "ogm.yaml").write_text(f"network: {{zenoh_config: {viewer}}}\n")

@@ -13,6 +13,7 @@ from typing import Literal
 import typer
 import zenoh
 
+from ogm_client.errors import ClientError
 from ogm_client.map_client import MapClient
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
@@ -143,6 +144,17 @@ class _Replay:
         parts += [f"{count} dropped: {reason}" for reason, count in dropped.items()]
         return ", ".join(parts + ([f"{missing} never received"] if missing > 0 else []))
 
+    def _unheard(self) -> str:
+        """Why scans were never received, as far as the client knows: Zenoh says nothing to those denied."""
+        if self._missing() <= self._dropped().get("refused", 0):
+            return ""
+        for publisher in self._robots.values():
+            try:
+                publisher.feedback()
+            except ClientError as error:
+                return f"; {error}"
+        return ""
+
     def _missing(self) -> int:
         """How many of our scans the mapper does not know of: they were lost on the way, or refused."""
         return self._sent.total() - sum(self._since(source, "received") for source in self._sent)
@@ -176,7 +188,7 @@ class _Replay:
         deadline, seen = time.monotonic() + patience, self._progress()
         while not reached():
             if time.monotonic() > deadline:
-                raise ReplayFailed(f"the mapper stopped {what}: {self._report()}")
+                raise ReplayFailed(f"the mapper stopped {what}: {self._report()}{self._unheard()}")
             time.sleep(POLL)
             self._follow()
             if self._progress() != seen:

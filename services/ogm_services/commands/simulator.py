@@ -1,10 +1,11 @@
 """`ogm simulate`: robots that drive through a simulated world, live or into a recording."""
 
 import logging
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import typer
 import zenoh
 
-from ogm_client.errors import NobodyAnswered
+from ogm_client.errors import ClientError, NobodyAnswered, NotHeard
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.errors import BadRecording, DiskFull, OgmError
@@ -32,6 +33,8 @@ SENSOR = "laser"
 WAIT_FOR_MAPPER = 5.0
 LOOK_TIMEOUT = 2.0
 """How long a look for robots of the same names may take, s."""
+HEARD_AFTER = 5.0
+"""How often the mapper is asked whether it hears the robots, until it does, s."""
 FALLEN_BEHIND = 1.0
 """A simulator that is later than this skips the time that it has lost, s."""
 
@@ -138,6 +141,7 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
         opening.callback(queryables.close)
         queryables.declare(keys.truth, truth, turns)
         _wait_for_mapper(robots[simulation.robots[0]])
+        opening.enter_context(_told_if_unheard(list(robots.values())))
         typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
         for step in _ticks(options):
             for message in simulation.messages(step, time.time_ns(), run):
@@ -184,6 +188,31 @@ def _wait_for_mapper(robot: RobotPublisher) -> None:
         robot.wait_for_mapper(WAIT_FOR_MAPPER)
     except NobodyAnswered:
         log.warning("no mapper listens yet: scans are published all the same")
+
+
+@contextmanager
+def _told_if_unheard(robots: list[RobotPublisher]) -> Iterator[None]:
+    """Meanwhile warns, once, if the mapper hears nothing of a robot: access control denies without a word."""
+    ended = threading.Event()
+
+    def look() -> None:
+        while not ended.wait(HEARD_AFTER):
+            try:
+                for robot in robots:
+                    robot.feedback(LOOK_TIMEOUT)
+            except NotHeard as error:
+                log.warning("%s", error)
+            except ClientError:
+                continue  # no mapper answers yet
+            return
+
+    looking = threading.Thread(target=look, name="heard")
+    looking.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        looking.join()
 
 
 def _ticks(options: SimulatorOptions) -> Iterator[int]:
