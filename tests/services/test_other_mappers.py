@@ -206,6 +206,26 @@ def router():
     return start
 
 
+def test_two_that_meet_between_claim_and_start_agree_who_stays(router, eventually):
+    ends = [resolve_listen("tcp/127.0.0.1:0") for _ in range(2)]
+    with ExitStack() as opened:
+        mappers, sessions = [], []
+        for run, endpoint in zip((LOW, HIGH), ends, strict=True):  # each on a network of its own
+            opened.enter_context(router(listen=[endpoint]))
+            session = opened.enter_context(open_session(NetworkConfig(connect=(endpoint,))))
+            others = opened.enter_context(closing(OtherMappers(session, KEYS, run=run, period=PERIOD)))
+            others.claim()
+            mappers.append(others)
+            sessions.append(session)
+        opened.enter_context(router(connect=ends))
+        for session, theirs in zip(sessions, (HIGH, LOW), strict=True):
+            eventually(lambda s=session, run=theirs: [*s.get(KEYS.alive("mapper", "*", run), timeout=10.0)])
+        low, high = mappers
+        with pytest.raises(AlreadyMapped, match=LOW):
+            high.serve()
+        low.serve()
+
+
 def test_two_that_meet_later_both_say_so_once_and_when_it_is_over(router, eventually, caplog):
     caplog.set_level(logging.WARNING)
     ends = [resolve_listen("tcp/127.0.0.1:0") for _ in range(2)]
