@@ -93,8 +93,8 @@ def too_many_robots(robot: str) -> Reason:
     """A robot is one too many."""
     return Reason(
         "too many robots",
-        f"messages of robot {robot} are refused: {MAX_ROBOTS} others are alive or were heard within "
-        f"{FORGOTTEN_AFTER:g} s; do robots change their names?",
+        f"messages of robot {robot} are refused: {MAX_ROBOTS} others are alive, or were alive or "
+        f"heard within {FORGOTTEN_AFTER:g} s; do robots change their names?",
     )
 
 

@@ -61,7 +61,10 @@ class _Robot:
     sensors: dict[str, _Sensor] = field(default_factory=dict)
 
     def gone(self, now: float) -> bool:
-        return not self.runs_alive and self.seen is not None and now - self.seen > FORGOTTEN_AFTER
+        if self.runs_alive or self.seen is None:
+            return False
+        # Of one that was never heard nothing is worth its place: tokens cost a stranger nothing.
+        return self.heard is None or now - self.seen > FORGOTTEN_AFTER
 
     def status(self, now: float | None) -> RobotStatus:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
@@ -128,7 +131,7 @@ class Receipts:
             return self._admitted(robot, now) is not None
 
     def gone(self, now: float) -> list[str]:
-        """The robots that are not alive and were not heard for FORGOTTEN_AFTER, at `now`."""
+        """Robots that are not alive, and were never heard, or neither heard nor alive for FORGOTTEN_AFTER."""
         with self._lock:
             return [name for name, robot in self._robots.items() if robot.gone(now)]
 

@@ -50,6 +50,17 @@ def test_a_robot_whose_token_goes_with_its_last_message_does_not_come_back_for_i
     assert told(presence, 2.0 + GONE_AFTER + 0.1) == ["robot r1 went: it has been silent for 60 s"]
 
 
+def test_a_robot_that_is_forgotten_with_its_token_has_gone(told):
+    receipts = Receipts()
+    presence = RobotPresence(receipts.presence)
+    receipts.robot_alive("r1", "a", True, 0.0)
+    told(presence, 0.0)
+    receipts.robot_alive("r1", "a", False, 0.5)
+    assert receipts.forget("r1", 0.6)
+    assert told(presence, 1.0) == ["robot r1 went: it does not say any more that it is alive"]
+    assert told(presence, 2.0) == []
+
+
 def test_a_robot_without_a_token_comes_with_a_message_and_goes_when_silent(told):
     receipts = Receipts()
     presence = RobotPresence(receipts.presence)

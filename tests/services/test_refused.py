@@ -65,8 +65,8 @@ def test_a_placer_that_is_handed_more_refuses_them_itself():
     assert desk.dropped == {"refused": 3}
     assert desk.receipts.status().poses.refused == 1
     assert told_of(desk, "robots") == [
-        f"messages of robot {name} are refused: 1000 others are alive or were heard within 3600 s; do robots "
-        "change their names?"
+        f"messages of robot {name} are refused: 1000 others are alive, or were alive or heard within 3600 s; "
+        "do robots change their names?"
         for name in ("r1000", "r1000", "r1000", "r1001")
     ]
     assert told_of(desk, "r0") == [
@@ -101,6 +101,23 @@ def test_who_is_gone_for_an_hour_is_forgotten_and_makes_room(monkeypatch):
     desk.placer.expire(2 * HOUR + 0.3)
     assert (*desk.receipts.status().robots,) == () == (*desk.placer._robots,)
     assert desk.receipts.status().scans == status.scans
+
+
+def test_tokens_that_came_and_went_without_a_message_keep_nobody_out(monkeypatch):
+    monkeypatch.setattr(limits, "MAX_ROBOTS", 3)
+    desk = Desk()
+    for robot in ("t1", "t2", "t3"):
+        desk.placer.robot_here(robot, "a", 1.0)
+    desk.placer.expire(HOUR)
+    assert (*desk.placer._robots,) == ("t1", "t2", "t3"), "they are alive"
+    desk.now = HOUR
+    desk.pose(0, robot="t3", run="a")
+    for robot in ("t1", "t2", "t3"):
+        desk.placer.robot_gone(robot, "a", HOUR)
+    desk.placer.expire(HOUR + 0.1)
+    assert (*desk.receipts.status().robots,) == ("t3",) == (*desk.placer._robots,)
+    desk.pose(0, robot="new")
+    assert (*desk.receipts.status().robots,) == ("t3", "new")
 
 
 def test_who_comes_back_after_that_begins_anew():

@@ -8,6 +8,7 @@ from ogm_core.status import GONE_AFTER
 
 MAX_LINES = 10
 """Robots that come or go between two looks have a line each; more than that share one."""
+SAYS_NOT = "it does not say any more that it is alive"
 
 log = logging.getLogger(__name__)
 
@@ -40,9 +41,11 @@ class RobotPresence:
                 self._heard_last.pop(name, None)
             elif self._here.pop(name, None) is not None:
                 went.append(f"robot {name} went: {reason}")
-        for names in (self._here, self._heard_last):
-            for name in names.keys() - present.keys():
-                del names[name]
+        for name in self._here.keys() - present.keys():  # forgotten at once: it was never heard
+            del self._here[name]
+            went.append(f"robot {name} went: {SAYS_NOT}")
+        for name in self._heard_last.keys() - present.keys():
+            del self._heard_last[name]
         _tell(came, "came")
         _tell(went, "went")
 
@@ -53,7 +56,7 @@ class RobotPresence:
         if self._here.get(name):
             self._heard_last[name] = robot.heard
         if name in self._heard_last and robot.heard == self._heard_last[name]:
-            return "it does not say any more that it is alive"
+            return SAYS_NOT
         if robot.heard is None or now - robot.heard > GONE_AFTER:
             return f"it has been silent for {GONE_AFTER:g} s"
         return None
