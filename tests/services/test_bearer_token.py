@@ -1,6 +1,7 @@
 """Bearer token: with one set, whoever writes over HTTP must know it, and nothing tells it."""
 
 import logging
+import re
 import subprocess
 import sys
 
@@ -114,6 +115,26 @@ def test_a_file_may_hold_it_and_nothing_shows_it(start_mapper, tmp_path, caplog)
     with start_mapper(http={"token_file": str(file)}) as mapper:
         assert post(mapper, f"{RIGHT}x").status_code == 401
         assert post(mapper, RIGHT).status_code == 200
+    assert TOKEN not in caplog.text
+
+
+def test_who_is_refused_stands_in_the_log(start_mapper, caplog):
+    """At most once a second and kind, with how many more."""
+    with start_mapper(http={"token": TOKEN}) as mapper:
+        for _ in range(20):
+            assert mapper.http.post("/reset", headers={"Authorization": f"{RIGHT}x"}).status_code == 401
+        page, name = {"Sec-Fetch-Site": "cross-site"}, {"Host": "evil.example"}
+        assert mapper.http.post("/reset", headers=page).status_code == 403
+        assert mapper.http.get("/status", headers=name).status_code == 421
+        assert mapper.http.get("/of-tomorrow").status_code == 404
+    said = [record for record in caplog.records if "refused over HTTP" in record.message]
+    assert {record.levelname for record in said} == {"WARNING"}
+    kinds = [re.search(r"\((\d+);", record.message)[1] for record in said]
+    assert set(kinds) == {"401", "403", "421"}
+    assert kinds.count("401") < 20
+    assert "127.0.0.1: POST /reset refused over HTTP, asked for without the mapper's token" in said[0].message
+    assert "GET /status refused" in said[-1].message
+    assert "Host evil.example" in said[-1].message
     assert TOKEN not in caplog.text
 
 

@@ -35,6 +35,7 @@ from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
+from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Answer, Parameters
@@ -119,6 +120,7 @@ def build_app(
     app.add_middleware(_WithoutUnheard)
     app.add_middleware(InPieces, in_flight=in_flight or InFlight())
     app.add_middleware(KnownHosts, names=hosts)
+    app.add_middleware(RefusedHttp)
     # The last one is the first that a request meets.
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
     for form, wanted in MAP_FORMATS.items():

@@ -1,0 +1,42 @@
+"""Requests over HTTP that are refused because of who asks: an operator sees them in the log."""
+
+import logging
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from ogm_services.runtime.limited_log import LimitedLog
+
+_WHY = {
+    401: "without the mapper's token, or with a wrong one",
+    403: "by a page of another origin",
+    421: "under a name that the mapper does not go by",
+}
+_SHOWN = 100
+"""So much of what a client sent is repeated in the log, characters."""
+
+log = logging.getLogger(__name__)
+
+
+class RefusedHttp:
+    """ASGI middleware, outside those that refuse: warns of what they refused, once a second and status."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._complaints = LimitedLog(log)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Hand a request on, and look at its answer's status."""
+
+        async def send_looked_at(message: Message) -> None:
+            why = _WHY.get(message.get("status", 0))
+            if why is not None and message["type"] == "http.response.start":
+                host = next((value for name, value in scope["headers"] if name == b"host"), b"")
+                self._complaints.of_kind(
+                    (scope.get("client") or ["somebody"])[0],
+                    str(message["status"]),
+                    f"{scope['method']} {scope['path'][:_SHOWN]} refused over HTTP, asked for {why} "
+                    f"({message['status']}; Host {host.decode('latin-1')[:_SHOWN]})",
+                )
+            await send(message)
+
+        await self._app(scope, receive, send if scope["type"] != "http" else send_looked_at)
