@@ -109,13 +109,71 @@ def test_one_that_serves_stays_though_a_newcomer_has_a_lower_run(mapper, joined)
     assert state_of(joined(), HIGH) == "serving"
 
 
+def ask(session, run, state):
+    """What the mappers say to whoever asks them as a mapper of such a run and state does."""
+    [*session.get(f"{KEYS.alive('mapper', '*', '*')}?run={run};state={state}", timeout=10.0)]
+
+
 def test_one_that_starts_yields_to_one_that_serves_and_asks(mapper, joined):
     """As one that was frozen does, which comes back while another is about to take its map."""
-    starting = mapper(LOW)
+    starting, back = mapper(LOW), joined()
     starting.claim()
-    [*joined().get(f"{KEYS.alive('mapper', '*', '*')}?run={HIGH};state=serving", timeout=10.0)]
+    key = KEYS.alive("mapper", "other", HIGH)
+
+    def serve(query):
+        with query:
+            query.reply(key, json.dumps({"run": HIGH, "state": "serving"}))
+
+    _held = back.declare_queryable(key, zenoh.handlers.Callback(serve, indirect=False))
+    ask(back, HIGH, "serving")
     assert state_of(joined(), LOW) == "yielding"
     with pytest.raises(AlreadyMapped, match=HIGH):
+        starting.serve()
+
+
+@pytest.mark.parametrize("state", ["serving", "starting"])
+def test_an_asker_that_nobody_answers_for_stops_no_mapper_however_often_it_asks(mapper, joined, state):
+    stranger, starting, stop = joined(), mapper(HIGH), threading.Event()
+    starting.claim()
+    ask(stranger, LOW, state)
+    assert state_of(joined(), HIGH) == "yielding"
+
+    def insist():
+        while not stop.is_set():
+            ask(stranger, LOW, state)
+
+    thread = threading.Thread(target=insist)
+    thread.start()
+    try:
+        starting.serve()
+    finally:
+        stop.set()
+        thread.join()
+    assert state_of(joined(), HIGH) == "serving"
+
+
+def test_who_yields_to_one_that_ends_takes_the_map_itself(mapper, joined, eventually):
+    early, late = mapper(HIGH), mapper(LOW)
+    early.claim()
+    late.claim()
+    assert state_of(joined(), HIGH) == "yielding"
+    late.close()
+    early.serve()
+    assert state_of(joined(), HIGH) == "serving"
+
+
+def test_askers_under_ever_new_names_are_looked_for_a_few_times(mapper, joined, monkeypatch):
+    """A start ends in a line then, rather than never."""
+    stranger, starting = joined(), mapper(HIGH)
+    starting.claim()
+    others, names = starting._others, iter(range(1000))
+
+    def as_they_ask(*key):
+        yield from others(*key)
+        ask(stranger, f"{next(names):032}", "serving")
+
+    monkeypatch.setattr(starting, "_others", as_they_ask)
+    with pytest.raises(AlreadyMapped, match="0" * 30):
         starting.serve()
 
 

@@ -20,6 +20,8 @@ from ogm_core.wire.keys import NAME, MapKeys
 
 ANSWERED = 5.0
 """How long another mapper may take to say what it does, s; one that is frozen is gone sooner."""
+MAX_DOUBTS = 10
+"""Askers that are not there, or yield themselves: at one more, a mapper that starts gives up."""
 LOOK_PERIOD = 1.0
 """How often a mapper that serves looks for others, s."""
 
@@ -46,8 +48,10 @@ class OtherMappers:
     """A mapper's claim to its map, and whoever else claims it, until `close`.
 
     Of two that start at the same time the lower run stays. Who asks says its own run and state, and who is
-    asked decides at once, under a lock: so both come to the same end, whoever asks first. One that serves
-    never yields; when it finds another one that does, `rivals` names it, and the log says so, once.
+    asked decides at once, under a lock: so both come to the same end, whoever asks first. Who has yielded
+    asks back before it gives up, and goes on if the asker does not answer: it was no mapper, or has ended.
+    One that serves never yields; when it finds another one that does, `rivals` names it, and the log says so,
+    once.
     """
 
     def __init__(
@@ -61,6 +65,9 @@ class OtherMappers:
         self._state: State = "starting"
         self._deciding = threading.Lock()
         self._yields_to = ""
+        self._doubts = 0
+        self._nobody: set[str] = set()
+        """Keys of askers that did not answer."""
         self._declared = ExitStack()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -88,11 +95,11 @@ class OtherMappers:
         Raises:
             AlreadyMapped: another one has come first since `claim`.
         """
-        self._look_before_serving()  # at the time of the claim neither may have been known to the other yet
-        with self._deciding:
-            if self._yields_to:
-                raise self._already(self._yields_to)
-            self._state = "serving"
+        while self._state != "serving":
+            self._look_before_serving()  # when they claimed it, neither may have been known to the other yet
+            with self._deciding:
+                if self._state == "starting":
+                    self._state = "serving"
         self._thread = threading.Thread(target=self._watch, name="ogm-other-mappers")
         self._thread.start()
 
@@ -109,13 +116,26 @@ class OtherMappers:
 
     def _look_before_serving(self) -> set[str]:
         """Ask who else is there, and yield if it goes first; the keys of those who answer."""
-        others = list(self._others())
-        for other in others:
-            if other.state in ("serving", "starting"):  # it has been asked, and does not yield
-                raise self._already(other.key)
-        if self._yields_to:
-            raise self._already(self._yields_to)
-        return {other.key for other in others}
+        while True:
+            others = list(self._others())
+            for other in others:
+                if other.state in ("serving", "starting"):  # it has been asked, and does not yield
+                    raise self._already(other.key)
+            if not self._yields_to:
+                return {other.key for other in others}
+            self._ask_back()
+
+    def _ask_back(self) -> None:
+        """Start anew if the asker that this one yields to is not there, or yields itself; else give up."""
+        asker = self._yields_to
+        states = {other.state for other in self._others(asker)}
+        if "serving" in states or "starting" in states or self._doubts >= MAX_DOUBTS:
+            raise self._already(asker)
+        self._doubts += 1
+        with self._deciding:
+            if not states:
+                self._nobody.add(asker)
+            self._state, self._yields_to = "starting", ""
 
     def _already(self, key: str) -> AlreadyMapped:
         return AlreadyMapped(
@@ -123,10 +143,10 @@ class OtherMappers:
             "stop it, or choose another name with --map"
         )
 
-    def _others(self) -> Iterator[Other]:
-        """Every other mapper that answers; who answers anything else is passed over."""
+    def _others(self, key: str | None = None) -> Iterator[Other]:
+        """Every other mapper that answers, or those of a key; who answers anything else is passed over."""
         replies = self._session.get(
-            f"{self._keys.alive('mapper', '*', '*')}?run={self._run};state={self._state}",
+            f"{key or self._keys.alive('mapper', '*', '*')}?run={self._run};state={self._state}",
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWERED,
@@ -148,7 +168,9 @@ class OtherMappers:
             with self._deciding:
                 first = theirs == "serving" or (theirs == "starting" and asker < self._run)
                 if self._state == "starting" and first and asker != self._run and NAME.fullmatch(asker):
-                    self._state, self._yields_to = "yielding", self._keys.alive("mapper", "*", asker)
+                    key = self._keys.alive("mapper", "*", asker)
+                    if key not in self._nobody:
+                        self._state, self._yields_to = "yielding", key
                 state = self._state
             reply = json.dumps({"run": self._run, "state": state})
             query.reply(self._mine, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
