@@ -60,6 +60,15 @@ class _Robot:
     """When it was heard, or its token came or went, s; None where no times are told."""
     sensors: dict[str, _Sensor] = field(default_factory=dict)
 
+    def seen_at(self, now: float | None) -> None:
+        if now is not None and (self.seen is None or now > self.seen):
+            self.seen = now
+
+    def heard_at(self, now: float | None) -> None:
+        if now is not None and (self.heard is None or now > self.heard):
+            self.heard = now
+        self.seen_at(now)
+
     def gone(self, now: float) -> bool:
         if self.runs_alive or self.seen is None:
             return False
@@ -121,7 +130,7 @@ class Receipts:
             return True
 
     def heard(self, robot: str, now: float) -> None:
-        """Note that any message of a robot has arrived, at `now`."""
+        """Note that any message of a robot arrived at `now`; that a later one did is not forgotten by it."""
         with self._lock:
             self._heard(robot, now)
 
@@ -150,12 +159,12 @@ class Receipts:
             self._poses[note] += 1
 
     def robot_alive(self, robot: str, run: str, alive: bool, now: float | None = None) -> None:
-        """Note whether the liveliness token of a robot's run is there."""
+        """Note whether the liveliness token of a robot's run is there; one that goes makes no robot known."""
         with self._lock:
-            entry = self._admitted(robot, now)
+            entry = self._admitted(robot, now) if alive else self._robots.get(robot)
             if entry is None:
                 return
-            entry.seen = now
+            entry.seen_at(now)
             if not alive:
                 entry.runs_alive.discard(run)
             elif len(entry.runs_alive) < _MAX_RUNS_ALIVE:
@@ -225,7 +234,7 @@ class Receipts:
         """Note that a message of a robot has arrived; None if it is one robot too many."""
         entry = self._admitted(robot, now)
         if entry is not None:
-            entry.heard = entry.seen = now
+            entry.heard_at(now)
         return entry
 
     def _admitted(self, robot: str, now: float | None) -> _Robot | None:

@@ -176,12 +176,11 @@ class ScanPlacer:
 
     def robot_gone(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
-        robot = self._robot(name, now)
-        if robot is None:
-            return
-        robot.gone[run] = None
-        if len(robot.gone) > MAX_GONE:
-            del robot.gone[next(iter(robot.gone))]
+        robot = self._robots.get(name)
+        if robot is not None:
+            robot.gone[run] = None
+            if len(robot.gone) > MAX_GONE:
+                del robot.gone[next(iter(robot.gone))]
         self._receipts.robot_alive(name, run, False, now)
 
     def expire(self, now: float) -> None:

@@ -5,6 +5,8 @@ import threading
 import pytest
 
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
+from ogm_core.placing.rules import FORGOTTEN_AFTER
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose
 from status_json import NO_POSES, as_json
 
@@ -126,6 +128,28 @@ def test_a_status_is_a_copy():
     before.robots.clear()
     assert as_json(receipts.status())["scans"]["dropped"] == NOTHING_DROPPED
     assert list(receipts.status().robots["a"].sources) == ["s"]
+
+
+def test_a_message_that_is_handled_late_does_not_make_a_robot_heard_longer_ago():
+    receipts = Receipts()
+    receipts.scan_received("r", "s", 100.0)
+    receipts.scan_received("r", "s", 103.0)
+    receipts.heard("r", 100.0)  # the worker has come to the first one
+    receipts.robot_alive("r", "run", False, 101.0)
+    assert receipts.status(104.0).robots["r"].age_s == 1.0
+    assert receipts.gone(103.0 + FORGOTTEN_AFTER) == []
+    assert receipts.gone(103.5 + FORGOTTEN_AFTER) == ["r"]
+
+
+def test_a_token_that_goes_makes_no_robot_known():
+    receipts = Receipts()
+    placer = ScanPlacer(None, receipts, print)
+    placer.robot_gone("r", "run", 1.0)
+    receipts.robot_alive("r", "run", False, 1.0)
+    assert receipts.status(1.0).robots == {}
+    placer.robot_here("r", "run", 2.0)
+    placer.robot_gone("r", "run", 3.0)
+    assert receipts.status(3.0).robots["r"].alive is False
 
 
 def test_the_books_balance_at_every_moment_whatever_other_threads_do():
