@@ -1,15 +1,21 @@
 """`--print-config`: every setting with its origin, as a settings file; and what a log says of settings."""
 
+import numpy as np
 import pytest
 import yaml
 from pydantic import SecretStr
 from typer.testing import CliRunner
 
 from ogm_core.errors import BadSetting
+from ogm_core.files.map_files import encode_npz, encode_pgm, encode_yaml
+from ogm_core.grid import OccupancyGrid
+from ogm_core.types import Pose, Scan
 from ogm_services.cli import app
+from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.settings.described import MASKED, _plain, differences
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import load_settings
+from ogm_services.settings.values import PRESETS
 
 
 def printed(*args, code=0, **environ):
@@ -22,11 +28,11 @@ def origins(text):
     """What stands behind every key, by section.key."""
     found, section = {}, ""
     for line in text.splitlines():
-        before, _, origin = line.partition("  # ")
+        before, _, origin = line.rpartition("  # ")
         if not line.startswith((" ", "-")):
-            section = before.partition(":")[0]
+            section = line.partition(":")[0]
         else:
-            found[f"{section}.{before.strip(' -').partition(':')[0]}"] = origin
+            found[f"{section}.{before.strip(' -#').partition(':')[0]}"] = origin
     return found
 
 
@@ -74,6 +80,37 @@ def test_what_is_printed_is_a_settings_file_of_the_same_settings(file, tmp_path)
     )
 
 
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A map of the world lab, of the preset's cells: map.npz, and map.yaml with its picture."""
+    folder = tmp_path_factory.mktemp("saved")
+    grid = OccupancyGrid(Settings.model_validate({"map": PRESETS["lab"]}).grid_settings(), "e")
+    grid.integrate(Scan(0, 0.0, 0.1, 0.1, 8.0, np.full(60, 3.0, np.float32)), Pose(0.0, 0.0, 0.0))
+    snap = grid.snapshot()
+    (folder / "map.npz").write_bytes(encode_npz(snap))
+    (folder / "map.pgm").write_bytes(encode_pgm(snap))
+    (folder / "map.yaml").write_bytes(encode_yaml(snap, "map.pgm"))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("start_map", "flags"),
+    [
+        ("map.npz", ["--cells", "float64", "--sensor", "r/*:deskew=no"]),
+        ("map.npz", ["--preset", "lab"]),
+        ("map.yaml", ["--start-confidence", "0.85"]),
+        ("map.yaml", ["--p-occ", "0.8", "--resolution", "0.1"]),
+    ],
+)
+def test_a_mapper_starts_with_what_is_printed_as_with_what_was_given(saved, tmp_path, start_map, flags):
+    """Not so if defaults were given: a start map has a resolution of its own, and an npz no confidence."""
+    again = tmp_path / "again.yaml"
+    again.write_text(printed("mapper", "--start-map", saved / start_map, *flags))
+    settings = load_settings(config=again, flags={}, environ={})
+    assert started_grid(settings, "e").settings.resolution == 0.1
+    assert printed("mapper", "--config", again).count("default") == again.read_text().count("default")
+
+
 def test_names_of_files_end_no_comment(tmp_path):
     path = tmp_path / "a\nmap: {l_max: 2}\n#.yaml"
     path.write_text("map: {l_max: 3.0}")
@@ -93,8 +130,10 @@ def test_bad_settings_are_refused_all_the_same():
 
 def test_secrets_are_masked_wherever_settings_are_shown():
     endpoint = "tls/h:7447#connect_certificate=c.pem;connect_private_key_base64=c2VjcmV0"
-    text = printed("mapper", "--connect", endpoint)
+    text = printed("mapper", "--connect", f"{endpoint},tls/user:p/w@d@h:7447")
     assert "c2VjcmV0" not in text
+    assert f"tls/{MASKED}@h:7447" in text
+    assert "w@d" not in text
     assert f"connect_certificate=c.pem;connect_private_key_base64={MASKED}" in text
     settings = Settings.model_validate({"network": {"connect": [endpoint]}})
     assert "c2VjcmV0" not in " ".join(differences(settings))

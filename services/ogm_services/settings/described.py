@@ -17,20 +17,23 @@ MASKED = "***"
 _NO_BREAK = 2**30
 """Width of a line that is never reached."""
 _SECRET_OF_ENDPOINT = re.compile(r"((?:private_key|password)\w*=)[^;#,]*")
+_USER_OF_ENDPOINT = re.compile(r"^(\w+/)[^#]*@")
 
 
 def described(settings: Settings, origins: "Origins") -> str:
     """Every setting as YAML, each with its origin as a comment; secrets are masked.
 
+    Defaults are comments as a whole, since what is given may contradict what a default does not.
     `load_settings` makes equal settings of it, masked ones apart.
     """
     lines = []
     for section, kind in SECTIONS.items():
         lines.append(f"{section}:")
         for key in kind.model_fields:
-            value = _plain(getattr(getattr(settings, section), key))
-            lines.append(f"  {_line(key, value)}  # {_comment(origins.settings.get((section, key)))}")
-    lines.append("sensors:" if settings.sensors else "sensors: []  # default")
+            line = _line(key, _plain(getattr(getattr(settings, section), key)))
+            origin = origins.settings.get((section, key))
+            lines.append(f"  # {line}  # default" if origin is None else f"  {line}  # {_comment(origin)}")
+    lines.append("sensors:" if settings.sensors else "# sensors: []  # default")
     for sensor, origin in zip(settings.sensors, origins.sensors, strict=True):
         entry = sensor.model_dump(mode="json", exclude_none=True)
         first, *rest = [_line(key, value) for key, value in entry.items()]
@@ -60,10 +63,15 @@ def _plain(value: object) -> Any:  # noqa: ANN401 (whatever YAML has)
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, tuple):
-        return [_plain(part) for part in value]
+        return [_masked(part) if isinstance(part, str) else _plain(part) for part in value]
     if value is None or isinstance(value, bool | int | float):
         return value
-    return _SECRET_OF_ENDPOINT.sub(rf"\1{MASKED}", str(value))
+    return str(value)
+
+
+def _masked(endpoint: str) -> str:
+    """An endpoint without its secrets, and without a user before its address; a host's name as it is."""
+    return _USER_OF_ENDPOINT.sub(rf"\1{MASKED}@", _SECRET_OF_ENDPOINT.sub(rf"\1{MASKED}", endpoint))
 
 
 def _line(key: str, value: object) -> str:
@@ -78,6 +86,6 @@ def _short(value: object) -> str:
     return str(value)
 
 
-def _comment(origin: str | None) -> str:
+def _comment(origin: str) -> str:
     """An origin on the rest of a line: names of files may hold anything."""
-    return "".join(c if c.isprintable() else "?" for c in origin or "default")
+    return "".join(c if c.isprintable() else "?" for c in origin)
