@@ -19,11 +19,15 @@ BIG = 32 << 20
 
 @dataclass
 class Desk:
-    """A running server: where it is, and which requests its application has seen, as (method, path, body)."""
+    """A running server: where it is, and which requests its application has seen, as (method, path, body).
+
+    `closed` holds for what it has closed connections.
+    """
 
     address: tuple[str, int]
     http: HttpThread
     seen: list[tuple[str, str, bytes]] = field(default_factory=list)
+    closed: list[str] = field(default_factory=list)
 
     def connections(self):
         """How many are open."""
@@ -78,7 +82,7 @@ def http_desk(**limits):
             heard = {"Heard": request.headers.get("X", "")}
             await Response(content, headers=heard, media_type="text/plain")(scope, receive, send)
 
-        http = HttpThread(app, listener, HttpLimits(**limits))
+        http = HttpThread(app, listener, HttpLimits(**limits), lambda reason: desk.closed.append(reason))
         desk = Desk(listener.getsockname(), http)
         stack.enter_context(http)
         yield desk

@@ -39,6 +39,7 @@ def test_an_idle_connection_is_closed():
             assert answer_from(file).status == 200
             assert file.read(1) == b""
         assert closed(never)
+        assert desk.closed == []
 
 
 @pytest.mark.parametrize("half", HALVES.values(), ids=HALVES)
@@ -48,6 +49,7 @@ def test_half_a_request_is_told_so_and_closed(half, before):
         *first, answer = desk.say(before, half)
         assert [answer.status for answer in first] == ([200] if before else [])
         assert answer.problem() == (408, "request-timeout")
+        assert desk.closed == ["request-timeout"]
         assert [path for _, path, _ in desk.seen] == (["/"] if before else [])
 
 
@@ -88,6 +90,7 @@ def test_clients_that_do_not_read_are_closed(eventually):
             sock.sendall(get(b"/big"))
         eventually(lambda: len(desk.seen) == 10)
         eventually(lambda: desk.connections() == 0)
+        eventually(lambda: desk.closed == ["stalled"] * 10)
 
 
 def test_a_byte_now_and_then_is_no_progress():
@@ -170,6 +173,7 @@ def test_beyond_the_limit_who_waits_longest_makes_room():
             (answer,) = desk.say(get(b"/", b"Connection: close"))
             assert answer.status == 200
         assert closed(held[0])
+        assert set(desk.closed) == {"full"}
         last = held[-1]
         with last.makefile("rb") as file:
             last.sendall(get())

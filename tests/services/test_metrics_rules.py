@@ -1,13 +1,16 @@
 """The rules that promtool checks, and those of the text format, on the metrics of a mapper that works."""
 
+import contextlib
 import math
 import re
+import socket
 import time
 from collections import Counter
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from ogm_services.mapper.serving.http_connection import CLOSED_FOR
 from ogm_services.mapper.serving.metrics import Metrics, gauges
 from status_json import STATUS
 
@@ -112,6 +115,30 @@ def test_a_working_mapper_keeps_the_rules(mapper):
     assert value["ogm_http_requests_total", None, "other", "4xx"] == 1
     assert value["ogm_http_request_duration_seconds_count", None, "/map.png", None] == 2
     assert value["ogm_http_requests_total", None, "/metrics", "2xx"] == 1
+
+
+def test_requests_that_no_route_sees_are_counted_by_what_was_wrong(mapper):
+    def counted():
+        families = text_string_to_metric_families(mapper.http.get("/metrics").text)
+        (family,) = [family for family in families if family.name == "ogm_http_connections_closed"]
+        return {sample.labels["reason"]: sample.value for sample in family.samples}
+
+    assert counted() == dict.fromkeys(CLOSED_FOR, 0)
+    long, host = b"a" * 70_000, b"Host: localhost\r\n"
+    for request in (
+        b"GET /" + long + b" HTTP/1.1\r\n",
+        b"GET / HTTP/1.1\r\n" + host + b"A: " + long + b"\r\n\r\n",
+        b"POST /reset HTTP/1.1\r\n" + host + b"Content-Length: 2000\r\n\r\n",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\n" + host + host + b"\r\n",
+        b"nonsense\r\n\r\n",
+    ):
+        url = mapper.http.base_url
+        with socket.create_connection((url.host, url.port), 30.0) as sock, contextlib.suppress(OSError):
+            sock.sendall(request)
+            assert sock.recv(12).startswith(b"HTTP/1.1 4")
+    wrong = {"uri-too-long": 1, "headers-too-large": 1, "content-too-large": 1, "bad-request": 3}
+    assert counted() == dict.fromkeys(CLOSED_FOR, 0) | wrong
 
 
 def test_a_mapper_without_a_scan_does_not_say_when_the_last_one_came(mapper):

@@ -339,7 +339,7 @@ class MapperService:
             shares=self._http_shares,
             in_flight=self.in_flight,
         )
-        self._http_thread = HttpThread(app, listener)
+        self._http_thread = HttpThread(app, listener, closed=self._metrics.measurements.http_closed)
         return self._http_thread
 
 

@@ -32,6 +32,9 @@ _SLUGS = {
     414: "uri-too-long",
     431: "headers-too-large",
 }
+_FULL, _STALLED = "full", "stalled"
+CLOSED_FOR = (*_SLUGS.values(), _FULL, _STALLED)
+"""Why connections are closed here: a request that is refused, no room, an answer that nobody takes."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +54,20 @@ class HttpLimits:
 
 
 class WaitingConnections:
-    """The connections that wait for a request, whole or the rest of one; who waits longest is the first."""
+    """The connections that wait for a request, whole or the rest of one; who waits longest is the first.
 
-    def __init__(self, limits: HttpLimits, complain: Callable[[str, str, str], None]) -> None:
+    `closed` is told for which of `CLOSED_FOR` one is closed.
+    """
+
+    def __init__(
+        self,
+        limits: HttpLimits,
+        complain: Callable[[str, str, str], None],
+        closed: Callable[[str], None],
+    ) -> None:
         self.limits = limits
         self.complain = complain
+        self.closed = closed
         self._since: dict[HttpConnection, float] = {}
 
     def add(self, connection: "HttpConnection", now: float) -> None:
@@ -68,7 +80,8 @@ class WaitingConnections:
 
     def make_room(self, newcomer: "HttpConnection") -> None:
         """Close the one that has waited longest; where all others are being answered, the newcomer."""
-        self.complain("HTTP", "full", f"{self.limits.connections} connections are open: {_FULL}")
+        self.complain("HTTP", _FULL, f"{self.limits.connections} connections are open: {_ROOM}")
+        self.closed(_FULL)
         longest = next(iter(self._since), newcomer)
         self.discard(longest)
         longest.transport.abort()
@@ -84,7 +97,7 @@ class WaitingConnections:
             connection.close_late()
 
 
-_FULL = "for each new one the one is closed that waits longest for a request"
+_ROOM = "for each new one the one is closed that waits longest for a request"
 
 
 class _Refused(Exception):
@@ -131,6 +144,8 @@ class HttpConnection(HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it."""
         self._waiting.discard(self)
+        if isinstance(exc, TimeoutError):  # the kernel's: see TCP_USER_TIMEOUT
+            self._waiting.closed(_STALLED)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -269,6 +284,7 @@ class HttpConnection(HttpToolsProtocol):
 
     def _refuse(self, refused: _Refused) -> None:
         self._waiting.complain("HTTP", str(refused.status), f"a request is refused: {refused}")
+        self._waiting.closed(_SLUGS[refused.status])
         if self._answering:  # an answer that is under way is not torn
             self._hang_up_after_answer()
             return

@@ -7,6 +7,7 @@ import math
 import resource
 import socket
 import threading
+from collections.abc import Callable
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -33,9 +34,16 @@ class CannotServe(OgmError):
 class HttpThread:
     """uvicorn beside the main thread, which keeps the signals to itself."""
 
-    def __init__(self, app: ASGIApp, listener: socket.socket, limits: HttpLimits | None = None) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        listener: socket.socket,
+        limits: HttpLimits | None = None,
+        closed: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """`closed` is told for which of `CLOSED_FOR` a connection is closed, by this thread."""
         limits = _affordable(limits or HttpLimits())
-        waiting = WaitingConnections(limits, LimitedLog(log).of_kind)
+        waiting = WaitingConnections(limits, LimitedLog(log).of_kind, closed)
         # Connections inherit it. It ends those, too, whose clients are well and do not read.
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             stall = round(1000 * limits.stall_time)

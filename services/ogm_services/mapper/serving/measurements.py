@@ -9,6 +9,7 @@ from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 
 from ogm_core.placing.scan_placer import ScanSink
 from ogm_core.types import Pose, Scan, Sweep
+from ogm_services.mapper.serving.http_connection import CLOSED_FOR
 
 AGE_BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 INTEGRATION_BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1, 0.25, 1.0, 5.0)
@@ -42,7 +43,14 @@ class Measurements:
             buckets=REQUEST_BUCKETS,
             registry=None,
         )
-
+        self._closed = Counter(
+            "ogm_http_connections_closed_total",
+            "HTTP connections that the mapper closed, with a request that no route has seen, or without one.",
+            ["reason"],
+            registry=None,
+        )
+        for reason in CLOSED_FOR:
+            self._closed.labels(reason)
         self._of_requests: dict[tuple[str, str, str], tuple[Counter, Histogram]] = {}
         """Series that were looked up before: `labels` takes longer than all the rest."""
 
@@ -62,12 +70,16 @@ class Measurements:
         count.inc()
         duration.observe(seconds)
 
+    def http_closed(self, reason: str) -> None:
+        """Note a connection that was closed for one of `CLOSED_FOR`."""
+        self._closed.labels(reason).inc()
+
     def collect(self) -> Iterator[Metric]:
         """Everything that has been measured."""
         if self._last_integrated is not None:
             text = "When a scan was last integrated, Unix time."
             yield GaugeMetricFamily("ogm_last_integrated_timestamp_seconds", text, self._last_integrated)
-        for instrument in (self._age, self.integration, self._requests, self._durations):
+        for instrument in (self._age, self.integration, self._requests, self._durations, self._closed):
             yield from instrument.collect()
 
 
