@@ -11,8 +11,10 @@ from contextlib import suppress
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from ogm_core.errors import BadInput, OgmError
+from ogm_services.cli import app
 from ogm_services.runtime.log_lines import BURST, MAX_LENGTH, RATE, RateLimit, log_to_stderr, tell
 
 OURS = logging.getLogger("ogm_services.tests")
@@ -210,3 +212,17 @@ def test_what_was_not_logged_is_said_with_the_next_line(logged, monkeypatch):
     now[0] = 0.0
     entry = json.loads(logged(flood, form="json")[-1])
     assert (entry["message"], entry["not_logged"]) == ("robot s came", 10)
+
+
+@pytest.mark.parametrize(
+    ("command", "form", "is_json"),
+    [("mapper", "json", True), ("mapper", "text", False), ("build nothing --out x", "json", False)],
+)
+def test_what_should_be_changed_in_settings_is_told_in_the_form_of_the_log(command, form, is_json):
+    """A command without a log says it in words, whatever the settings of services are."""
+    given = [*command.split(), "--model", "beam", "--print-config"]
+    ended = CliRunner().invoke(app, given, env={"OGM_LOG__FORMAT": form}, prog_name="ogm")
+    (line,) = ended.stderr.splitlines()
+    message = json.loads(line)["message"] if is_json else line.removeprefix("ogm: ")
+    assert message == "--model: map.model is called map.sensor_model now (--sensor-model)"
+    assert line.startswith("{" if is_json else "ogm: ")

@@ -7,8 +7,9 @@ on text and nothing else: `settings.settings` judges values, whichever source th
 import inspect
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, is_dataclass
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
@@ -17,6 +18,7 @@ import typer
 from ogm_core.cells.log_odds import CellType
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
 from ogm_core.wire.keys import DEFAULT_ADDRESS
+from ogm_services.runtime.log_lines import log_to_stderr, tell
 from ogm_services.settings.described import described
 from ogm_services.settings.sensors import FORM
 from ogm_services.settings.settings import SECTIONS, Settings
@@ -276,16 +278,23 @@ def settings_from(
 ) -> Settings:
     """Settings of a command, from its flags, this process's environment and its settings file.
 
+    What should be changed in them is told, in the form of the log if the command has one.
+
     Raises:
         Exit: they were to be printed, and are.
     """
+    notes: list[str] = []
     settings, origins = settings_and_origins(
         config=config,
         flags={group.section: group.given() for group in groups},
         environ=os.environ,
         sensors=sensors or (),
-        tell=partial(typer.echo, err=True),
+        tell=notes.append,
     )
+    logs = any(isinstance(group, LoggingFlags) for group in groups)
+    with log_to_stderr(settings.log.level, settings.log.format) if logs else nullcontext():
+        for note in notes:
+            tell(note)
     if print_config:
         typer.echo(described(settings, origins), nl=False)
         raise typer.Exit

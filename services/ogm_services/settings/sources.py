@@ -108,7 +108,7 @@ def _by_present_names(source: _Source, tell: Callable[[str], None]) -> _Source:
             value = given.pop(old)
             if new in given:
                 raise BadSetting(f"{'.'.join(old)} is {'.'.join(new)} now: give one of them ({value.source})")
-            tell(f"ogm: {value.source}: {'.'.join(old)} is called {'.'.join(new)} now ({flag_name(*new)})")
+            tell(f"{value.source}: {'.'.join(old)} is called {'.'.join(new)} now ({flag_name(*new)})")
             given[new] = value
     return given
 
