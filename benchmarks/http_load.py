@@ -99,7 +99,9 @@ def bare(body: bytes) -> Iterator[str]:
 
 
 def _serve(listener: socket.socket, body: bytes) -> None:
-    config = uvicorn.Config(bare_app(body), log_level="warning", access_log=False, lifespan="off")
+    config = uvicorn.Config(
+        bare_app(body), log_level="warning", access_log=False, proxy_headers=False, lifespan="off"
+    )
     uvicorn.Server(config).run(sockets=[listener])
 
 

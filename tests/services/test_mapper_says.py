@@ -62,3 +62,13 @@ def test_each_kind_is_told_however_soon_after_another(start_mapper, caplog):
         "stamps repeat",
     ):
         assert sum(words in line for line in lines) == 1, words
+
+
+def test_who_has_reset_the_map_is_who_is_connected_whatever_a_request_says(mapper, caplog):
+    """Over Zenoh nothing tells who asks, unless they say so themselves."""
+    caplog.set_level(logging.INFO)
+    forged = {"X-Forwarded-For": "203.0.113.9", "X-Forwarded-Proto": "https", "Forwarded": "for=203.0.113.9"}
+    assert mapper.http.post("/reset", headers=forged).status_code == 200
+    mapper.answer("reset")
+    said = [record.getMessage() for record in caplog.records if "has reset the map" in record.getMessage()]
+    assert [line.partition(" has ")[0] for line in said] == ["127.0.0.1 over HTTP", "somebody over Zenoh"]

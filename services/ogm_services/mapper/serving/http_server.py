@@ -55,6 +55,7 @@ class HttpThread:
             ws="none",
             log_config=None,
             access_log=False,
+            proxy_headers=False,  # whoever asks from this machine, or through a proxy on it, could write them
             lifespan="off",
             timeout_keep_alive=math.ceil(limits.request_time),
             timeout_graceful_shutdown=GRACE,
