@@ -36,7 +36,7 @@ class Strip(NamedTuple):
 class MapPicture:
     """The picture of a map in one palette, of one revision after the other.
 
-    Who owns what: all of it belongs to the caller of `png`, one at a time.
+    Who owns what: all of it belongs to the caller of `png`, one at a time; `let_go` only replaces the strips.
     """
 
     def __init__(self, encoder: Encoder) -> None:
@@ -48,6 +48,10 @@ class MapPicture:
         """By row of tiles of the lattice."""
         self.nbytes = 0
         """What the strips take."""
+
+    def let_go(self) -> None:
+        """Keep no strips; any thread. Those of a picture that is being made are kept again."""
+        self._strips, self.nbytes = {}, 0
 
     def png(self, snapshot: MapSnapshot) -> bytes:
         """PNG of a snapshot with at least one cell, north up; of any revision, the newest are quick."""

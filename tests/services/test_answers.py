@@ -18,6 +18,7 @@ from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import answers as answers_module
+from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
 from ogm_services.replies.answer import UnknownName
 from status_json import as_json
@@ -112,10 +113,10 @@ def test_a_region_on_the_edges_of_cells_gives_exactly_these(monkeypatch):
         assert (answer.meta["width"], answer.meta["height"], answer.meta["offset"]) == (1, 1, [ix, ix])
 
 
-def test_what_is_kept_is_bounded(desk, monkeypatch):
+def test_what_is_kept_is_bounded(desk):
     desk.scan(2.0)
-    size = len(desk.answers.map("json", {}).body) + answers_module.BYTES_BESIDES
-    monkeypatch.setattr(answers_module, "CACHE_BYTES", 4 * size)
+    size = len(desk.answers.map("json", {}).body) + BYTES_BESIDES
+    desk.answers._cache._room = 4 * size
     asked = [{"region": f"0,0,{9 + n},1"} for n in range(20)]
     bodies, kept = [], []
     for given in asked:
@@ -123,7 +124,7 @@ def test_what_is_kept_is_bounded(desk, monkeypatch):
         kept.append(len(desk.answers._cache._answers))
     assert kept == [2, 3, 1] + [2, 3, 1] * 5 + [2, 3]
     assert len(set(bodies)) == 1
-    monkeypatch.setattr(answers_module, "CACHE_BYTES", size - 1)
+    desk.answers._cache._room = size - 1
     assert desk.answers.map("json", {}).body == desk.answers.map("json", {"region": "0,0,99,1"}).body
 
 

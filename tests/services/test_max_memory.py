@@ -9,10 +9,14 @@ from mapper_desk import Desk
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
+from ogm_services.mapper.serving.answers import Answers
 from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
 
 TILE = 64 * 64 * 2
@@ -75,6 +79,34 @@ def test_what_others_hold_stops_only_what_needs_new_tiles():
     assert live.snapshot().known_cells == before + 2
     others[0] = 0
     live.integrate(*beam(1000.0))
+
+
+def test_answers_that_are_kept_never_stop_the_map():
+    memory = MemoryUse(4 * MEBIBYTE)
+    live = LiveMap(OccupancyGrid(SETTINGS, "e"), memory)
+    answers = Answers("hall", live, Receipts(), Monitor(live), memory=memory)
+    alone = grown(LiveMap(OccupancyGrid(SETTINGS, "e"), MemoryUse(4 * MEBIBYTE)))[0]
+    for k in range(alone):
+        live.integrate(*beam(32.0 * k + 0.25, 30.0))
+        for n in range(1 if k < alone - 40 else 10):
+            answers.map("json", {"region": f"0,0,{90_000 + n},100"})
+        assert memory.total() <= memory.limit
+    full = answers.cached_bytes()
+    assert 0 < full <= memory.share(CACHE_BYTES)
+    with pytest.raises(LimitReached):
+        live.integrate(*beam(32.0 * alone + 0.25, 30.0))
+    assert answers.cached_bytes() == full  # nothing is let go for a scan that is refused all the same
+
+
+def test_no_cache_keeps_more_than_a_sixteenth_of_the_memory(start_mapper):
+    with start_mapper(map={"resolution": 0.1}, mapper={"max_memory": 16 * MEBIBYTE}) as mapper:
+        mapper.scan([40.0] * 60, pose=list(HERE), range_max=50.0)
+        mapper.settle(received=1)
+        body = mapper.http.get("/map.json").content
+        assert len(body) > MEBIBYTE
+        assert mapper.service.memory.held()["caches"] == 0
+        small = mapper.http.get("/map.json?region=0,0,10,10").content
+        assert 2 * len(small) < mapper.service.memory.held()["caches"] < MEBIBYTE
 
 
 def test_a_map_at_max_bytes_is_said_to_be_at_max_bytes():

@@ -25,3 +25,16 @@ def test_in_words_the_largest_comes_first_and_what_holds_nothing_is_left_out():
     for kind, count in (("queue", 2048), ("recent", 0), ("map", 812 * 1024**2)):
         memory.add(kind, lambda count=count: count)
     assert memory.in_words() == "map 812 MiB, queue 2 KiB"
+
+
+def test_what_can_be_made_anew_is_in_nobodys_way_and_goes_when_all_is_full():
+    memory, held = MemoryUse(100), {"map": 60, "caches": 30}
+    memory.add("map", lambda: held["map"])
+    memory.add("caches", lambda: held["caches"], let_go=lambda: held.update(caches=0))
+    assert memory.left() == 40
+    memory.make_room()
+    assert memory.total() == 90
+    held["map"] = 71
+    assert (memory.left(), memory.total()) == (29, 101)
+    memory.make_room()
+    assert (memory.left(), memory.total()) == (29, 71)

@@ -4,7 +4,8 @@ import pytest
 from fastapi import Request
 
 from ogm_services.mapper.live.live_map import Identity
-from ogm_services.mapper.serving import ready_maps as http_side
+from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
+from ogm_services.mapper.serving.ready_maps import ReadyMaps
 from ogm_services.replies.answer import Answer
 
 META = {"epoch": "e", "revision": 3, "stamp": 7, "resolution": 0.1, "origin": {"x": 0.0, "y": 0.0}}
@@ -14,6 +15,7 @@ class Map:
     """Stands for the answers: a map that says how far it has come."""
 
     identity = Identity("e", 3, 7)
+    cache_room = 64 * 1024**2
 
     def now(self):
         return self.identity
@@ -25,7 +27,7 @@ def request(query):
 
 @pytest.fixture
 def ready():
-    return http_side.ReadyMaps(Map())
+    return ReadyMaps(Map())
 
 
 def keep(ready, body, queries):
@@ -39,12 +41,12 @@ def keep(ready, body, queries):
 
 
 @pytest.mark.parametrize(("body", "query"), [(1_000_000, 10), (10, 1_000_000), (500_000, 500_000), (0, 0)])
-def test_bodies_and_queries_of_any_length_have_the_same_room(ready, monkeypatch, body, query):
-    room = 3 * (body + query + len("/map.png") + 1 + http_side.BYTES_BESIDES)
-    monkeypatch.setattr(http_side, "CACHE_BYTES", room)
+def test_bodies_and_queries_of_any_length_have_the_same_room(ready, body, query):
+    room = 3 * (body + query + len("/map.png") + 1 + BYTES_BESIDES)
+    ready._answers.cache_room = room
     queries = [b"%d" % k + b"x" * query for k in range(7)]
     assert keep(ready, bytes(body), queries) == [1, 2, 3, 1, 2, 3, 1]
-    monkeypatch.setattr(http_side, "CACHE_BYTES", room // 4)
+    ready._answers.cache_room = room // 4
     assert keep(ready, bytes(body), queries[:2]) == [0, 0]
 
 
@@ -54,3 +56,10 @@ def test_what_is_no_longer_the_map_is_not_kept(ready):
     assert keep(ready, b"old", [b"c"]) == [2]  # of revision 3, which nobody is sent any more
     ready._answers.identity = Identity("f", 3, 7)
     assert keep(ready, b"old", [b"c"]) == [2]
+
+
+def test_what_is_kept_can_be_let_go(ready):
+    assert keep(ready, b"body", [b"a", b"b"]) == [1, 2]
+    ready.let_go()
+    assert (ready.nbytes, ready._ready) == (0, {})
+    assert keep(ready, b"body", [b"a"]) == [1]

@@ -21,10 +21,16 @@ class InFlight:
     One body that is sent to many is one object, and counts once.
     """
 
-    def __init__(self, limit: int = MAX_IN_FLIGHT, left: Callable[[], float] = lambda: math.inf) -> None:
-        """`left` says how many bytes there is memory for besides."""
+    def __init__(
+        self,
+        limit: int = MAX_IN_FLIGHT,
+        left: Callable[[], float] = lambda: math.inf,
+        make_room: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`left` says how many bytes there may be besides; `make_room` is called when more are held."""
         self.limit = limit
         self._left = left
+        self._make_room = make_room
         self._lock = threading.Lock()
         self._readers: dict[int, int] = {}
         """How many are sent a body, by the object that it is."""
@@ -64,6 +70,7 @@ class InFlight:
             )
         self._readers[id(body)] = readers + 1
         self._held += size
+        self._make_room()
 
     def _end(self, body: bytes) -> None:
         readers = self._readers.pop(id(body)) - 1

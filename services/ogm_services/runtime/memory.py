@@ -11,6 +11,7 @@ _PARTS = 16
 class _Store(NamedTuple):
     held: Callable[[], int]
     limit: int | None
+    let_go: Callable[[], None] | None
 
 
 class MemoryUse:
@@ -24,9 +25,29 @@ class MemoryUse:
         self.limit = limit
         self._stores: dict[str, _Store] = {}
 
-    def add(self, kind: str, held: Callable[[], int], limit: int | None = None) -> None:
-        """Count a kind by what `held` says, bytes; `limit` is its own share, None if it has none."""
-        self._stores[kind] = _Store(held, limit)
+    def add(
+        self,
+        kind: str,
+        held: Callable[[], int],
+        limit: int | None = None,
+        let_go: Callable[[], None] | None = None,
+    ) -> None:
+        """Count a kind by what `held` says, bytes; `limit` is its own share, None if it has none.
+
+        `let_go` frees what can be made anew: such a kind is in nobody's way.
+        """
+        self._stores[kind] = _Store(held, limit, let_go)
+
+    def left(self) -> int:
+        """Bytes that may still be held, once the kinds that can have let go of all."""
+        return self.limit - sum(store.held() for store in self._stores.values() if store.let_go is None)
+
+    def make_room(self) -> None:
+        """Have the kinds that can let go, if all together hold more than they may."""
+        if self.total() > self.limit:
+            for store in self._stores.values():
+                if store.let_go is not None:
+                    store.let_go()
 
     def share(self, wanted: int) -> int:
         """The share of a kind that would like `wanted` bytes: less where there is little memory in all."""

@@ -95,8 +95,10 @@ class LiveMap:
                 updates = self._grid.integrate(scan, pose, sweep)
             except NoRoom as refusal:
                 raise self._reason_of(refusal) from refusal
-            self._state = self._told()
+            grew, self._state = self._grid.nbytes > self._state.nbytes, self._told()
             self._recent.append(PlacedScan(scan, pose, sweep))
+            if grew and self._memory is not None:
+                self._memory.make_room()
             return updates
 
     def reset(self, epoch: str) -> None:
@@ -200,9 +202,8 @@ class LiveMap:
 
     def _allowed(self, memory: MemoryUse) -> int:
         """Bytes that the map may hold now, beside all else and the copy of it that readers get."""
-        held = memory.held()
-        map_bytes, copies = held["map"], held["copies"]
-        left = memory.limit - sum(held.values()) + map_bytes + copies
+        copies = self._copies_bytes()
+        left = memory.left() + self._state.nbytes + copies
         return min(left - copies, left * 4 // 9)  # a new copy takes up to a quarter more than its tiles
 
     def _reason_of(self, refusal: NoRoom) -> LimitReached:
@@ -240,6 +241,8 @@ class LiveMap:
             known = self._snapshot = self._grid.snapshot(room)
             self._view = cast(TileView, known.stored)
             self._copied = self._view.tiles.nbytes
+            if self._memory is not None:
+                self._memory.make_room()
         return known
 
     def _known_cells_now(self) -> int:

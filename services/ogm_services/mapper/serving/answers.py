@@ -2,10 +2,8 @@
 
 import json
 import math
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,14 +24,11 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import Status
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
 from ogm_services.mapper.serving.kept_status import KeptStatus
 from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
+from ogm_services.runtime.memory import MemoryUse
 from ogm_services.settings.values import parse_number
-
-CACHE_BYTES = 64 * 1024**2
-"""Encoded maps of the current revision that are kept for the next who asks."""
-BYTES_BESIDES = 4096
-"""What an answer that is kept takes besides its body and what was asked, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,29 +74,37 @@ class Answers:
         receipts: Receipts,
         monitor: Monitor,
         ready: Callable[[], bool] = lambda: True,
+        memory: MemoryUse | None = None,
     ) -> None:
+        """`memory`: what else is held; where it is short, no answer is kept for the next who asks."""
         self._map_name = map_name
         self._map = live_map
         self._monitor = monitor
         self._receipts = receipts
         self._started = time.monotonic()
-        self._cache = _AnswerCache(self.now)
+        self._memory = memory
+        self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
+        """Bytes of answers that one cache may keep."""
+        self._cache = AnswerCache(self.now, self.cache_room)
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._ready = ready
-        self._caches: list[Callable[[], int]] = [
-            lambda: self._cache.nbytes,
-            lambda: self._status.nbytes,
-            lambda: sum(picture.nbytes for picture in self._pictures.values()),
-        ]
+        self._caches: list[Cache] = [self._cache, *self._pictures.values()]
+        if memory is not None:
+            memory.add("caches", self.cached_bytes, let_go=self._let_go)
+            memory.add("status", lambda: self._status.nbytes)
 
-    def count_cache(self, held: Callable[[], int]) -> None:
-        """Count a cache of answers that lies elsewhere: `held` says how many bytes it keeps."""
-        self._caches.append(held)
+    def count_cache(self, cache: Cache) -> None:
+        """Count a cache of answers that lies elsewhere."""
+        self._caches.append(cache)
 
     def cached_bytes(self) -> int:
         """Bytes of answers that are kept for the next who asks; a body in two caches counts twice."""
-        return sum(held() for held in self._caches)
+        return sum(cache.nbytes for cache in self._caches)
+
+    def _let_go(self) -> None:
+        for cache in self._caches:
+            cache.let_go()
 
     def check_ready(self) -> None:
         """Refuse what needs a mapper that has started.
@@ -145,6 +148,8 @@ class Answers:
         body = wanted.encode(cut, self._map_name, given) if picture is None else picture.png(snapshot)
         answer = Answer(body, wanted.media_type, cut.meta())
         self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
+        if self._memory is not None:
+            self._memory.make_room()
         return answer
 
     def _picture_of(self, wanted: _MapFormat, cut: MapSnapshot, given: Parameters) -> MapPicture | None:
@@ -217,68 +222,6 @@ class Answers:
             robots=counts.robots,
             uptime_s=time.monotonic() - self._started,
         )
-
-
-class _AnswerCache:
-    """Encoded answers of the newest revision that was encoded, and whose turn it is to encode.
-
-    An answer will do for whoever asked when the map was not newer. So readers who come while one is encoded
-    wait, and then one of them encodes for all: never two the same, and nobody gets a map older than his
-    question, however fast it changes.
-    """
-
-    def __init__(self, now: Callable[[], Identity]) -> None:
-        self._now = now
-        self._lock = threading.Lock()
-        self._of = Identity("", -1, None)
-        self._answers: dict[object, Answer] = {}
-        self._size = 0
-        self._turns: dict[object, _Turn] = {}
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that are kept."""
-        return self._size
-
-    def find(self, key: object, asked: Identity) -> Answer | None:
-        with self._lock:
-            new_enough = self._of.epoch == asked.epoch and self._of.revision >= asked.revision
-            return self._answers.get(key) if new_enough else None
-
-    def keep(self, key: object, of: Identity, answer: Answer) -> None:
-        size = len(answer.body) + len(repr(key)) + BYTES_BESIDES
-        with self._lock:
-            # Asked under the lock: what is kept of a new epoch was kept after the reset that began it.
-            if of.epoch != self._now().epoch:
-                return
-            if self._of.epoch == of.epoch and self._of.revision > of.revision:
-                return
-            if self._of != of or self._size + size > CACHE_BYTES:
-                self._of, self._answers, self._size = of, {}, 0
-            if size <= CACHE_BYTES:
-                self._answers[key] = answer
-                self._size += size
-
-    @contextmanager
-    def turn(self, key: object) -> Iterator[None]:
-        """Wait until nobody else encodes what has this key."""
-        with self._lock:
-            turn = self._turns.setdefault(key, _Turn(threading.Lock()))
-            turn.wanted += 1
-        try:
-            with turn.lock:
-                yield
-        finally:
-            with self._lock:
-                turn.wanted -= 1
-                if not turn.wanted:
-                    del self._turns[key]
-
-
-@dataclass(slots=True)
-class _Turn:
-    lock: threading.Lock
-    wanted: int = 0
 
 
 def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:

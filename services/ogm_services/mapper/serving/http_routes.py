@@ -112,7 +112,7 @@ def build_app(
         redoc_url=None,
     )
     ready = ReadyMaps(answers)
-    answers.count_cache(lambda: ready.nbytes)
+    answers.count_cache(ready)
     app.add_middleware(BearerToken, token=token)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)

@@ -1,12 +1,14 @@
 """HTTP validators: maps that are ready to be sent, have not changed, or are no longer the one wanted."""
 
 import re
+import threading
 
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ogm_services.mapper.live.live_map import Identity
-from ogm_services.mapper.serving.answers import BYTES_BESIDES, CACHE_BYTES, Answers
+from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
+from ogm_services.mapper.serving.answers import Answers
 from ogm_services.replies.answer import Answer, Changed
 from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
 
@@ -18,11 +20,12 @@ class ReadyMaps:
     """Maps that are ready to be sent again, byte for byte, as long as the map does not change.
 
     As ASGI middleware it answers for them at once: on the event loop, without a thread, a lock or a route.
-    All of it belongs to the event loop.
+    All of it belongs to the event loop, but that any thread may `let_go`.
     """
 
     def __init__(self, answers: Answers) -> None:
         self._answers = answers
+        self._keeping = threading.Lock()
         self._of: Identity | None = None
         self._ready: dict[tuple[str, bytes], _ReadyMap] = {}
         self._size = 0
@@ -46,17 +49,24 @@ class ReadyMaps:
         """Bytes that are kept; any thread may ask."""
         return self._size
 
+    def let_go(self) -> None:
+        """Keep nothing of what is kept."""
+        with self._keeping:
+            self._ready, self._size = {}, 0
+
     def keep(self, request: Request, answer: Answer) -> Response:
         """The response to a request for a map, kept if the map is still the same."""
         ready, now = _ReadyMap(answer), self._answers.now()
         if ready.of == now[:2]:
             asked = request.scope["path"], request.scope["query_string"]
             size = len(answer.body) + sum(map(len, asked)) + BYTES_BESIDES
-            if self._of != now or self._size + size > CACHE_BYTES:
-                self._of, self._ready, self._size = now, {}, 0
-            if size <= CACHE_BYTES:
-                self._ready[asked] = ready
-                self._size += size
+            room = self._answers.cache_room
+            with self._keeping:
+                if self._of != now or self._size + size > room:
+                    self._of, self._ready, self._size = now, {}, 0
+                if size <= room:
+                    self._ready[asked] = ready
+                    self._size += size
         return ready.response_to(request.scope)
 
 
