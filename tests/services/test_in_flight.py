@@ -29,7 +29,7 @@ def test_bodies_count_until_they_are_sent_and_past_the_limit_none_is():
     in_flight = InFlight(10 * MIB)
     with in_flight.sending(bytes(4 * MIB)), in_flight.sending(bytes(4 * MIB)):
         assert in_flight.held == 8 * MIB + 2 * BUFFERED
-        with pytest.raises(Busy, match=r"answers of 8 MiB are being sent, and this one has 3 MiB"):
+        with pytest.raises(Busy, match=r"answers of 8 MiB are being made or sent, and this one has 3 MiB"):
             in_flight.sending(bytes(3 * MIB)).__enter__()
         with in_flight.sending(bytes(1 * MIB)):
             pass
@@ -45,6 +45,22 @@ def test_a_body_that_is_sent_to_many_counts_once():
     assert in_flight.held == 0
     with in_flight.sending(body):
         assert in_flight.held == 6 * MIB + BUFFERED
+
+
+def test_what_is_being_made_counts_too():
+    in_flight = InFlight(10 * MIB)
+    with in_flight.making(6 * MIB):
+        assert in_flight.held == 6 * MIB
+        with pytest.raises(
+            Busy, match="answers of 6 MiB are being made or sent, and making this one takes 5 MiB"
+        ):
+            in_flight.making(5 * MIB).__enter__()
+        with in_flight.sending(bytes(3 * MIB)), in_flight.making(SMALL):
+            assert in_flight.held == 9 * MIB + BUFFERED
+    assert in_flight.held == 0
+    with pytest.raises(ZeroDivisionError), in_flight.making(MIB):
+        raise ZeroDivisionError
+    assert in_flight.held == 0
 
 
 def test_one_alone_may_be_larger_than_all_together():

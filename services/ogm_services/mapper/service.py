@@ -214,11 +214,12 @@ class MapperService:
         self._started = time.monotonic()
         self._ready = threading.Event()
         memory = self.memory
+        self.in_flight = InFlight(memory.share(MAX_IN_FLIGHT), memory.left, memory.make_room)
         self.answers = Answers(
             *(settings.network.map_name, self.live_map, receipts, self._monitor, self._ready.is_set),
             memory=memory,
+            in_flight=self.in_flight,
         )
-        self.in_flight = InFlight(memory.share(MAX_IN_FLIGHT), memory.left, memory.make_room)
         memory.add("answers", lambda: self.in_flight.held, self.in_flight.limit)
         self._open = ExitStack()
         self.addresses: list[str] = []

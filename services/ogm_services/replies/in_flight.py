@@ -1,4 +1,4 @@
-"""Answers in flight: bodies that are being sent, counted until they are gone, and bounded together."""
+"""Answers in flight: what is being made and sent, counted until it is gone, and bounded together."""
 
 import math
 import threading
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from ogm_services.replies.answer import Busy
 
 MAX_IN_FLIGHT = 256 * 1024**2
-"""Bytes of all bodies that are being sent; one alone may be larger."""
+"""Bytes of all answers that are being made and sent; one alone may be larger."""
 SMALL = 64 * 1024
 """Bodies up to this are not counted: as many of them as there are connections are little."""
 BUFFERED = 256 * 1024
@@ -16,7 +16,7 @@ BUFFERED = 256 * 1024
 
 
 class InFlight:
-    """The bodies that are being sent to slow and quick readers. Any thread.
+    """The answers that are being made, and those that are being sent to slow and quick readers. Any thread.
 
     One body that is sent to many is one object, and counts once.
     """
@@ -38,7 +38,7 @@ class InFlight:
 
     @property
     def held(self) -> int:
-        """Bytes that are held for readers."""
+        """Bytes that are held to make answers, and for readers."""
         return self._held
 
     @contextmanager
@@ -59,16 +59,36 @@ class InFlight:
             with self._lock:
                 self._end(body)
 
+    @contextmanager
+    def making(self, size: int) -> Iterator[None]:
+        """Hold so many bytes while an answer is made inside; its body is counted when it is sent.
+
+        Raises:
+            Busy: too much is being made and sent already, or there is no memory for it.
+        """
+        if size <= SMALL:
+            yield
+            return
+        with self._lock:
+            self._take(size, f"making this one takes {_mebibytes(size)}")
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._held -= size
+
     def _begin(self, body: bytes) -> None:
         readers = self._readers.get(id(body), 0)
-        size = BUFFERED + (0 if readers else len(body))
-        # One alone may be larger than all that may be sent together: nobody would ever get it.
+        self._take(BUFFERED + (0 if readers else len(body)), f"this one has {_mebibytes(len(body))}")
+        self._readers[id(body)] = readers + 1
+
+    def _take(self, size: int, this_one: str) -> None:
+        # One alone may be larger than all that may be held together: nobody would ever get it.
         if (self._held and self._held + size > self.limit) or size > self._left():
             raise Busy(
-                f"answers of {self._held / 1024**2:.0f} MiB are being sent, and this one has "
-                f"{len(body) / 1024**2:.0f} MiB: try again later, or ask for a smaller region"
+                f"answers of {_mebibytes(self._held)} are being made or sent, and {this_one}: "
+                "try again later, or ask for a smaller region"
             )
-        self._readers[id(body)] = readers + 1
         self._held += size
         self._make_room()
 
@@ -77,3 +97,7 @@ class InFlight:
         if readers:
             self._readers[id(body)] = readers
         self._held -= BUFFERED + (0 if readers else len(body))
+
+
+def _mebibytes(size: int) -> str:
+    return f"{size / 1024**2:.0f} MiB"

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
+from ogm_core.lattice import CellRect, Region
 from ogm_core.quality.bounded import bounded_figures
 from ogm_core.quality.figures import Consistency, quality_figures
 from ogm_core.quality.truth import truth_figures
@@ -52,8 +53,7 @@ class _State(NamedTuple):
     """What is told of a map without a look at its cells."""
 
     identity: Identity
-    width: int
-    height: int
+    rect: CellRect
     nbytes: int
 
 
@@ -113,6 +113,15 @@ class LiveMap:
         """Epoch, revision and stamp of this moment; waits for nobody."""
         return self._state.identity
 
+    def cells_in(self, region: Region | None) -> int:
+        """How many cells of the map a region covers, None: all of them; waits for nobody.
+
+        Raises:
+            BadParameter: the region is inverted or not finite.
+        """
+        rect = self._state.rect
+        return rect.cells if region is None else rect.intersection(self._grid.lattice.cover(region)).cells
+
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""
         with self._reading:
@@ -126,8 +135,8 @@ class LiveMap:
         return MapInfo(
             known_cells=self._figure(self._known_cells, self._known_cells_now, patient=True),
             bytes=state.nbytes,
-            width=state.width,
-            height=state.height,
+            width=state.rect.width,
+            height=state.rect.height,
             resolution=self._grid.lattice.resolution,
         )
 
@@ -222,8 +231,8 @@ class LiveMap:
 
     def _told(self) -> _State:
         """The state of the grid; the writer's."""
-        grid, rect = self._grid, self._grid.rect
-        return _State(Identity(grid.epoch, grid.revision, grid.stamp), rect.width, rect.height, grid.nbytes)
+        grid = self._grid
+        return _State(Identity(grid.epoch, grid.revision, grid.stamp), grid.rect, grid.nbytes)
 
     def _room(self) -> Tiles | None:
         """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""

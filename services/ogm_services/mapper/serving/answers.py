@@ -2,10 +2,14 @@
 
 import json
 import math
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from ogm_core.errors import BadParameter, cut
 from ogm_core.files.map_files import (
@@ -26,15 +30,23 @@ from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
 from ogm_services.mapper.serving.kept_status import KeptStatus
-from ogm_services.replies.answer import Answer, Parameters, Starting, UnknownName
+from ogm_services.replies.answer import Answer, Busy, Parameters, Starting, UnknownName
+from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
 from ogm_services.settings.values import parse_number
+
+LARGE = 10_000_000
+"""Answers that look at more cells take seconds."""
+LARGE_AT_ONCE = 4
+"""So many of them are made or waited for at a time: half of the threads that a protocol has for maps."""
 
 
 @dataclass(frozen=True, slots=True)
 class _MapFormat:
     media_type: str
     parameters: frozenset[str]
+    cost: float
+    """Bytes that are held for each byte of the map's cells while it is made, with its body, at most."""
     encode: Callable[[MapSnapshot, str, Parameters], bytes]
 
 
@@ -42,22 +54,27 @@ MAP_FORMATS: dict[str, _MapFormat] = {
     "png": _MapFormat(
         "image/png",
         frozenset({"region", "palette", "max_size"}),
+        4.0,  # cells of a block by their levels, while it is shrunk; else 2
         lambda snapshot, _, given: encode_png(snapshot, given.get("palette", DEFAULT_PALETTE)),
     ),
     "json": _MapFormat(
         "application/json",
         frozenset({"region", "values"}),
+        4.0,  # text of 4 bytes a cell, twice
         lambda snapshot, name, given: encode_json(snapshot, name, given.get("values", "percent")),
     ),
     "pgm": _MapFormat(
         "image/x-portable-graymap",
         frozenset({"region", "palette"}),
+        1.5,  # 3 bytes a cell
         lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", DEFAULT_PALETTE)),
     ),
     "yaml": _MapFormat(
-        "application/yaml", frozenset({"region"}), lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
+        "application/yaml", frozenset({"region"}), 1.5, lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
     ),
-    "npz": _MapFormat("application/x-npz", frozenset({"region"}), lambda snapshot, *_: encode_npz(snapshot)),
+    "npz": _MapFormat(
+        "application/x-npz", frozenset({"region"}), 6.0, lambda snapshot, *_: encode_npz(snapshot)
+    ),
 }
 
 
@@ -75,14 +92,20 @@ class Answers:
         monitor: Monitor,
         ready: Callable[[], bool] = lambda: True,
         memory: MemoryUse | None = None,
+        in_flight: InFlight | None = None,
     ) -> None:
-        """`memory`: what else is held; where it is short, no answer is kept for the next who asks."""
+        """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
+
+        `in_flight` counts what is being made.
+        """
         self._map_name = map_name
         self._map = live_map
         self._monitor = monitor
         self._receipts = receipts
         self._started = time.monotonic()
         self._memory = memory
+        self._in_flight = in_flight or InFlight()
+        self._large = threading.Semaphore(LARGE_AT_ONCE)
         self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
         """Bytes of answers that one cache may keep."""
         self._cache = AnswerCache(self.now, self.cache_room)
@@ -122,6 +145,7 @@ class Answers:
             UnknownName: there is no such format.
             BadParameter: a parameter is unknown or ill-formed, or its region misses the map.
             MapEmpty: a picture of a map without a known cell.
+            Busy: it is large, and there is no memory or no thread left for it.
         """
         self.check_ready()
         if form not in MAP_FORMATS:
@@ -132,7 +156,7 @@ class Answers:
         key = (form, tuple(sorted(given.items())))
         answer = self._cache.find(key, asked)
         if answer is None:
-            with self._cache.turn(key):
+            with self._not_too_many(form, given), self._cache.turn(key):
                 # Whoever had the turn before may have encoded a map that is new enough for this one too.
                 answer = self._cache.find(key, asked) or self._encoded(wanted, given, key)
         return answer
@@ -141,11 +165,33 @@ class Answers:
         """Epoch, revision and stamp of the map at this moment; waits for nobody."""
         return self._map.now
 
+    @contextmanager
+    def _not_too_many(self, form: str, given: Parameters) -> Iterator[None]:
+        """Let so few large answers be made, or waited for, that small ones always find a thread."""
+        kept = form == "png" and given.keys() <= {"palette"}  # the picture that is kept up to date is quick
+        large = not kept and self._map.cells_in(_region_of(given)) > LARGE
+        if large and not self._large.acquire(blocking=False):
+            raise Busy(
+                f"{LARGE_AT_ONCE} answers of more than {LARGE} cells are being made: "
+                "try again later, or ask for a smaller region"
+            )
+        try:
+            yield
+        finally:
+            if large:
+                self._large.release()
+
     def _encoded(self, wanted: _MapFormat, given: Parameters, key: object) -> Answer:
         snapshot = self._map.snapshot()
-        cut = _shrunk(_cropped(snapshot, given), given)
-        picture = self._picture_of(wanted, cut, given) if cut is snapshot else None
-        body = wanted.encode(cut, self._map_name, given) if picture is None else picture.png(snapshot)
+        region = _region_of(given)
+        cropped = snapshot if region is None else snapshot.crop(region)
+        picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
+        with self._in_flight.making(_bytes_to_make(wanted, cropped, picture)):
+            cut = _shrunk(cropped, given)
+            if picture is not None and cut is snapshot:
+                body = picture.png(snapshot)
+            else:
+                body = wanted.encode(cut, self._map_name, given)
         answer = Answer(body, wanted.media_type, cut.meta())
         self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
         if self._memory is not None:
@@ -154,7 +200,7 @@ class Answers:
 
     def _picture_of(self, wanted: _MapFormat, cut: MapSnapshot, given: Parameters) -> MapPicture | None:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
-        if wanted is not MAP_FORMATS["png"] or cut.empty:
+        if wanted is not MAP_FORMATS["png"] or cut.empty or "max_size" in given:
             return None
         return self._pictures.get(given.get("palette", DEFAULT_PALETTE))
 
@@ -231,13 +277,21 @@ def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[(
             raise BadParameter(f"{cut(name)}: unknown parameter; there are: {listed}")
 
 
-def _cropped(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
+def _bytes_to_make(wanted: _MapFormat, snapshot: MapSnapshot, picture: MapPicture | None) -> int:
+    cells = snapshot.width * snapshot.height
+    if picture is not None:  # only what has changed is encoded, and what was is put together
+        return 2 * picture.nbytes + cells // 16
+    cell = sum(np.dtype(plane.dtype).itemsize * plane.side**2 for plane in snapshot.model.planes)
+    return int(wanted.cost * cell * cells)
+
+
+def _region_of(given: Parameters) -> Region | None:
     if "region" not in given:
-        return snapshot
+        return None
     parts = given["region"].split(",")
     if len(parts) != 4:
         raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {cut(given['region'])!r}")
-    return snapshot.crop(Region(*(_number("region", part) for part in parts)))
+    return Region(*(_number("region", part) for part in parts))
 
 
 def _shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
