@@ -199,7 +199,7 @@ class ScanPlacer:
     def _forget(self, name: str, now: float) -> None:
         """Forget a robot that is gone: should it come back, all begins anew for it."""
         robot = self._robots.get(name)
-        if robot is not None:
+        if robot is not None and robot.waiting:
             self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
         if self._receipts.forget(name, now) and robot is not None:
             del self._robots[name]
