@@ -1,6 +1,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -312,7 +313,7 @@ def test_children_get_no_settings_from_the_environment():
 
 def test_on_its_own_a_mapper_listens_on_loopback_and_everyone_else_connects_to_it(load):
     network = load().network
-    assert network.for_mapper() == NetworkConfig(listen=(DEFAULT_ADDRESS,))
+    assert network.for_mapper() == NetworkConfig(listen=(DEFAULT_ADDRESS,), serves=True)
     assert network.for_client() == NetworkConfig(connect=(DEFAULT_ADDRESS,))
 
 
@@ -327,7 +328,8 @@ def test_a_service_that_is_told_where_to_go_goes_nowhere_else(load, tmp_path):
     for key, config in told.items():
         value = str(zenoh_config) if key == "zenoh_config" else "tcp/a:1"
         network = load(flags={"network": {key: value}}).network
-        assert network.for_mapper() == network.for_client() == config
+        assert network.for_client() == config
+        assert network.for_mapper() == replace(config, serves=True)
 
 
 def test_settings_do_not_change():

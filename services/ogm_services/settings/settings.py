@@ -1,6 +1,7 @@
 """Settings of every service: what may be set, and within which limits."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self, assert_never
 
@@ -125,7 +126,7 @@ class NetworkSettings(_Section):
 
     def for_mapper(self) -> "NetworkConfig":
         """How a mapper opens its session: as told, else it listens on loopback."""
-        return self._config(listen=(DEFAULT_ADDRESS,), connect=())
+        return replace(self._config(listen=(DEFAULT_ADDRESS,), connect=()), serves=True)
 
     def for_client(self) -> "NetworkConfig":
         """How everyone else opens a session: as told, else connected to the mapper on loopback."""
