@@ -10,6 +10,7 @@ import zenoh
 
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
 from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.other_mappers import AlreadyMapped, OtherMappers
 
 KEYS = MapKeys("hall")
@@ -213,6 +214,67 @@ def test_who_answers_something_else_is_no_mapper(mapper, joined, eventually, rep
     _held = joined().declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
     eventually(lambda: [*joined().get(key, timeout=10.0)])
     assert serving(mapper()).reasons() == []
+
+
+def served_by(session, answers):
+    """Declare who answers as mappers do, with these (key, payload)."""
+
+    def answer(query):
+        with query:
+            for key, payload in answers:
+                query.reply(key, payload)
+
+    handler = zenoh.handlers.Callback(answer, indirect=False)
+    return session.declare_queryable(f"{KEYS.root}/alive/mapper/**", handler)
+
+
+def test_strangers_in_any_number_cost_little_and_are_named_in_a_line(mapper, joined, eventually, caplog):
+    serves = json.dumps({"run": LOW, "state": "serving"})
+    others = serving(mapper())
+    keys = [KEYS.alive("mapper", f"evil{n:04d}", LOW) for n in range(2000)]
+    _held = served_by(joined(), [(key, serves) for key in keys])
+    eventually(lambda: len(others.rivals) == 16)
+    (reason,) = others.reasons()
+    named = ", ".join(keys[:3])
+    assert reason == f"another mapper of the map serves, too: {named} and 13 more"
+    (record,) = caplog.records
+    assert named in record.getMessage()
+    assert "and 13 more" in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        (KEYS.alive("mapper", "evil", LOW), b'{"state": "serving"' + b" " * 240 + b"}"),
+        (KEYS.alive("mapper", "e" * 65, LOW), b'{"state": "serving"}'),
+        (KEYS.alive("mapper", "evil", "r" * 65), b'{"state": "serving"}'),
+        (KEYS.alive("mapper", "\x1b[31m\nready", LOW), b'{"state": "serving"}'),
+    ],
+)
+def test_who_answers_too_long_or_under_no_name_is_no_mapper(mapper, joined, eventually, key, payload):
+    stranger = joined()
+    _held = served_by(stranger, [(key, payload)])
+    eventually(lambda: [*joined().get(KEYS.alive("mapper", "*", "*"), timeout=10.0)])
+    assert serving(mapper()).reasons() == []
+
+
+def test_tokens_in_any_number_are_warned_of_in_one_line(mapper, joined, eventually, caplog):
+    stranger = joined()
+    _held = [
+        stranger.liveliness().declare_token(KEYS.alive("mapper", f"evil{n:03d}", LOW)) for n in range(100)
+    ]
+    pattern = KEYS.alive("mapper", "*", "*")
+    eventually(lambda: len([*joined().liveliness().get(pattern)]) == 100)
+    serving(mapper())
+    (record,) = caplog.records
+    assert record.getMessage().count("evil") == 3
+    assert "more: the token" in record.getMessage()
+    assert len(record.getMessage()) < 500
+
+
+def test_why_it_is_not_ready_is_one_printable_line():
+    health = Health(alive=lambda: True, reasons=[lambda: None, lambda: "a\n\x1b[31mb", lambda: "c"])
+    assert health.not_ready() == "a??[31mb; c"
 
 
 def test_a_token_beside_one_that_serves_changes_nothing(mapper, joined, eventually, caplog):

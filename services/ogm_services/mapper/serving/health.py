@@ -19,4 +19,5 @@ class Health:
     def not_ready(self) -> str | None:
         """Why it should get no scans now, all reasons on one line; None if it should."""
         found = [self.not_alive(), *(reason() for reason in self.reasons)]
-        return "; ".join(filter(None, found)) or None
+        line = "; ".join(filter(None, found))
+        return "".join(letter if letter.isprintable() else "?" for letter in line) or None

@@ -9,8 +9,9 @@ import logging
 import socket
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
+from itertools import islice
 from typing import Literal, NamedTuple
 
 import zenoh
@@ -24,6 +25,15 @@ MAX_DOUBTS = 10
 """Askers that are not there, or yield themselves: at one more, a mapper that starts gives up."""
 LOOK_PERIOD = 1.0
 """How often a mapper that serves looks for others, s."""
+
+MAX_HEARD = 64
+"""So many answers, or tokens, are looked at, whoever gives them."""
+MAX_OTHERS = 16
+"""So many other mappers are kept of them."""
+MAX_ANSWER = 256
+"""The longest answer of a mapper, bytes."""
+MAX_NAMED = 3
+"""So many others are named where all would be too many."""
 
 State = Literal["starting", "serving", "yielding"]
 
@@ -85,8 +95,8 @@ class OtherMappers:
         self._declared.push(self._session.liveliness().declare_token(self._mine))
         answering = self._look_before_serving()
         tokens = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=ANSWERED)
-        here = {str(reply.ok.key_expr) for reply in tokens if reply.ok is not None}
-        for bare in sorted(here - answering - {self._mine}):
+        here = {key for key in map(self._key_of, islice(tokens, MAX_HEARD)) if key is not None}
+        if bare := _named(here - answering):
             log.warning("%s: the token of a mapper that does not answer: this one starts all the same", bare)
 
     def serve(self) -> None:
@@ -105,7 +115,8 @@ class OtherMappers:
 
     def reasons(self) -> list[str]:
         """Why this mapper is not ready though it serves: the other mappers that do, too."""
-        return [f"another mapper of the map serves, too: {key}" for key in sorted(self.rivals)]
+        rivals = _named(self.rivals)
+        return [f"another mapper of the map serves, too: {rivals}"] if rivals else []
 
     def close(self) -> None:
         """Withdraw the claim, and look no more."""
@@ -144,22 +155,32 @@ class OtherMappers:
         )
 
     def _others(self, key: str | None = None) -> Iterator[Other]:
-        """Every other mapper that answers, or those of a key; who answers anything else is passed over."""
+        """The other mappers that answer, or those of a key, MAX_OTHERS at most; others are passed over."""
+        return islice(self._answering(key), MAX_OTHERS)
+
+    def _answering(self, key: str | None) -> Iterator[Other]:
         replies = self._session.get(
             f"{key or self._keys.alive('mapper', '*', '*')}?run={self._run};state={self._state}",
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWERED,
         )
-        for reply in replies:
-            if reply.ok is None or str(reply.ok.key_expr) == self._mine:
+        for reply in islice(replies, MAX_HEARD):
+            key = self._key_of(reply)
+            if key is None or reply.ok is None or len(reply.ok.payload) > MAX_ANSWER:
                 continue
-            key = str(reply.ok.key_expr)
             try:
                 state = str(json.loads(reply.ok.payload.to_bytes())["state"])
             except (ValueError, TypeError, KeyError, RecursionError):
                 continue
             yield Other(key, key.rpartition("/")[2], state)
+
+    def _key_of(self, reply: zenoh.Reply) -> str | None:
+        """The key of another mapper that a reply comes from; None if it is this one, or no mapper's."""
+        key = "" if reply.ok is None else str(reply.ok.key_expr)
+        host, _, run = key.removeprefix(self._keys.alive("mapper", "", "")[:-1]).partition("/")
+        named = NAME.fullmatch(host) and NAME.fullmatch(run)
+        return key if named and key != self._mine else None
 
     def _asked(self, query: zenoh.Query) -> None:
         """Say what this mapper does; one that starts yields to who serves, and to a lower run."""
@@ -187,14 +208,20 @@ class OtherMappers:
         came, went = serving - self.rivals, self.rivals - serving
         self.rivals = serving
         name = self._keys.map_name
-        for key in sorted(came):
+        if came:
             log.error(
                 "another mapper of map %r serves, too (%s): both take scans and answer, and neither is ready "
                 "until one is stopped",
-                *(name, key),
+                *(name, _named(came)),
             )
-        for key in sorted(went):
-            log.warning("the other mapper of map %r is gone (%s)", name, key)
+        if went:
+            log.warning("the other mapper of map %r is gone (%s)", name, _named(went))
+
+
+def _named(keys: Collection[str]) -> str:
+    """The first of some keys, in order, and how many more there are; "" of none."""
+    first, more = sorted(keys)[:MAX_NAMED], len(keys) - MAX_NAMED
+    return ", ".join(first) + (f" and {more} more" if more > 0 else "")
 
 
 def _host_name() -> str:
