@@ -5,6 +5,7 @@ Commands import what they need when they run, so that `ogm --help` answers at on
 
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -226,6 +227,10 @@ def simulate(
 @contextmanager
 def _service(log: LogSettings, interrupted: int = 0) -> Iterator[None]:
     """What runs inside logs, and ends in order at a signal, with exit code `interrupted`."""
+    if "RUST_LOG" in os.environ:
+        import zenoh
+
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     with log_to_stderr(log.level, log.format), running_service(interrupted):
         yield
 

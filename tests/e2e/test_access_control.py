@@ -269,6 +269,38 @@ def test_nobody_overhears_a_robot(site, mapper, eventually):
         assert heard == []
 
 
+def test_the_mapper_s_log_shows_denials_if_asked(site, ogm):
+    """With the filter of docs/security.md."""
+    shown = re.search(r"`RUST_LOG=(\S+)`", (ROOT / "docs/security.md").read_text())[1]
+    endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+    config = site.mapper(endpoint=endpoint)
+    mapper = ogm.start("mapper", "--http-port", 0, "--zenoh-config", config, RUST_LOG=shown)
+    ogm.ready(mapper)
+    with site.robot("robot1", of="robot2", endpoint=endpoint) as liar:
+        liar.wait_for_mapper()
+        liar.publish_pose(9.0, 9.0, 0.0)
+        denied = r"is unauthorized to Put \(ingress\) on .*/robots/robot1/pose"
+        mapper.line(rf".*CertCommonName\(robot2\).*{denied}")
+
+
+def test_a_simulator_tells_the_truth_by_two_rules_more(site, ogm, eventually):
+    """As docs/security.md says."""
+    rules = re.search(r"```json5\n(.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
+
+    def with_truth(text):
+        policy = '{ rules: ["robot1", '
+        assert policy in text
+        return text.replace("    rules: [\n", f"    rules: [\n{rules}", 1).replace(
+            policy, f'{policy}"asked", "truth", '
+        )
+
+    endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+    config = site.mapper(with_truth, endpoint)
+    mapper = ogm.ready(ogm.start("mapper", "--http-port", 0, "--zenoh-config", config))
+    ogm.start("simulate", "--zenoh-config", site.client("robot1", endpoint=endpoint))
+    eventually(lambda: json.loads(mapper.get("quality")).get("truth"), timeout=60.0)
+
+
 def test_a_replay_and_a_simulator_that_are_denied_say_so(site, mapper, module_ogm, lab_recording, unchanged):
     denied = ["--zenoh-config", site.client("robot2")]
     simulator = module_ogm.start("simulate", "--robot-prefix", "robot", *denied)

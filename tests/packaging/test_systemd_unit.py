@@ -67,3 +67,14 @@ def test_systemd_finds_no_fault(tmp_path):
     ended = subprocess.run(["systemd-analyze", "verify", copy], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
     assert UNIT.name not in ended.stderr, ended.stderr  # what it says of this system's own units is not ours
+
+
+def test_the_token_that_it_shows_comes_from_systemd_and_is_taken(tmp_path, environ):
+    shown = re.findall(r"(?m)^#(LoadCredential|Environment)=(\S+)", UNIT.read_text())
+    (credential, (_, setting)) = shown
+    name, _, _ = credential[1].partition(":")
+    (tmp_path / name).write_text("0f" * 24 + "\n")
+    key, _, value = setting.partition("=")
+    environ = {**environ, key: value.replace("%d", str(tmp_path))}
+    settings = load_settings(config=None, flags={}, environ=environ)
+    assert str(tmp_path / name) == str(settings.http.token_file)
