@@ -96,7 +96,9 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
         CannotListen: an endpoint to listen on is taken, or is not this machine's.
     """
     for endpoint in config.connect:
-        _check_endpoint(endpoint)
+        _check_endpoint("connect", endpoint)
+    for endpoint in config.listen:
+        _check_endpoint("listen", endpoint)
     settings = _hermetic(config) if config.config_file is None else _from_file(config.config_file, config)
     _check_hosts(config.connect)
     check_certificates(settings, f"{_endpoints(settings, 'listen')}, {_endpoints(settings, 'connect')}")
@@ -218,22 +220,25 @@ def _attempt(config: NetworkConfig) -> float:
     return min(config.connect_timeout, ATTEMPT) / max(1, len(config.connect))
 
 
-def _check_endpoint(endpoint: str) -> None:
+def _check_endpoint(side: str, endpoint: str) -> None:
     """Refuse what Zenoh would try in vain, without a word of what is wrong with it."""
     if not isinstance(endpoint, str):
-        raise BadSetting(f"connect: a text such as {DEFAULT_ADDRESS} is needed, got {endpoint!r}")
+        raise BadSetting(f"{side}: a text such as {DEFAULT_ADDRESS} is needed, got {endpoint!r}")
     protocol, slash, rest = endpoint.partition("/")
     example = f"an endpoint looks like {DEFAULT_ADDRESS}"
     if rest.startswith("/"):
-        raise BadSetting(f"connect {endpoint}: a URL is no Zenoh endpoint; {example}")
+        raise BadSetting(f"{side} {endpoint}: a URL is no Zenoh endpoint; {example}")
     if not slash:
-        raise BadSetting(f"connect {endpoint}: {example}")
+        raise BadSetting(f"{side} {endpoint}: {example}")
     if protocol not in _PROTOCOLS:
-        raise BadSetting(f"connect {endpoint}: {protocol!r} is none of {', '.join(_PROTOCOLS)}; {example}")
+        raise BadSetting(f"{side} {endpoint}: {protocol!r} is none of {', '.join(_PROTOCOLS)}; {example}")
     if protocol in _WITH_PORTS:
         host, port = _host_and_port(rest)
-        if not (host and port.isascii() and port.isdigit() and 0 < int(port[:6]) < 65536):
-            raise BadSetting(f"connect {endpoint}: a host and a port, 1 to 65535, are needed; {example}")
+        lowest = 1 if side == "connect" else 0  # port 0 takes a free one
+        if not (host and port.isascii() and port.isdigit() and lowest <= int(port[:6]) < 65536):
+            raise BadSetting(
+                f"{side} {endpoint}: a host and a port, {lowest} to 65535, are needed; {example}"
+            )
 
 
 def _host_and_port(address: str) -> tuple[str, str]:

@@ -125,6 +125,8 @@ def test_which_of_listen_and_connect_failed(listener, endpoint):
         (NetworkConfig(connect=("udp/127.0.0.1:0",)), "a host and a port"),
         (NetworkConfig(connect=("ws/127.0.0.1:65536",)), "a host and a port"),
         (NetworkConfig(listen=("7447",)), "listen 7447: "),
+        (NetworkConfig(listen=("tcp/127.0.0.1",)), "listen tcp/127.0.0.1: a host and a port, 0 to 65535"),
+        (NetworkConfig(listen=("http://127.0.0.1:1",)), "listen http://127.0.0.1:1: a URL is no Zenoh"),
     ],
 )
 def test_ill_formed_endpoints_are_bad_settings(config, message):

@@ -183,7 +183,7 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("http.token_file", "/nowhere/token", "file"),
         ("mapper.max_beams", "0", "greater than or equal to 1"),
         ("mapper.max_scan_cells", "0", "greater than or equal to 1"),
-        ("mapper.max_memory", "0", "greater than or equal to 1"),
+        ("mapper.max_memory", "1000", "greater than or equal to 16777216"),
         ("mapper.max_cells", "1.5e0", "valid integer"),
         ("mapper.pose_wait", "-1", "greater than or equal to 0"),
         ("mapper.queue", "0", "greater than or equal to 1"),
@@ -448,3 +448,15 @@ def test_of_token_and_file_one_is_given(load, tmp_path):
     with pytest.raises(BadSetting, match=r"http\.token, http\.token_file: give one of the two"):
         load(env={"OGM_HTTP__TOKEN": TOKEN, "OGM_HTTP__TOKEN_FILE": str(file)})
     assert load(env={}).http.write_token() is None
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "http://127.0.0.1", "", " ", "[::1]:8000"])
+def test_the_address_of_http_has_no_port(host):
+    with pytest.raises(BadSetting, match=r"http\.host: an address without a port .*--http-port") as error:
+        load_settings(config=None, flags={}, environ={"OGM_HTTP__HOST": host})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "fe80::1%eth0", "localhost", "robot-1.example.org"])
+def test_an_address_or_a_name_is_what_http_is_served_on(host):
+    assert load_settings(config=None, flags={}, environ={"OGM_HTTP__HOST": host}).http.host == host

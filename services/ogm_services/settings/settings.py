@@ -56,10 +56,13 @@ from ogm_services.settings.values import (
     Probability,
     Token,
     WholeNumber,
+    address_without_port,
 )
 
 DEFAULT_MAX_MEMORY = 3 * DEFAULT_MAX_BYTES
 """The largest map, a copy for readers, which takes up to a quarter more, and over 1 GiB for all else."""
+MIN_MEMORY = 2**24
+"""Less than this leaves no room for a map, bytes."""
 
 if TYPE_CHECKING:
     from ogm_client.session import NetworkConfig
@@ -147,7 +150,7 @@ class HttpSettings(_Section):
     line; a relative path starts at the working folder.
     """
 
-    host: str = "127.0.0.1"
+    host: Annotated[str, AfterValidator(address_without_port)] = "127.0.0.1"
     port: Annotated[WholeNumber, Field(ge=0, le=65535)] = 8000
     hosts: HostNames = ()
     token: Annotated[Token | None, NONE] = None
@@ -197,7 +200,7 @@ class MapperSettings(_Section):
 
     max_cells: Count = DEFAULT_MAX_CELLS
     max_bytes: Count = DEFAULT_MAX_BYTES
-    max_memory: Count = DEFAULT_MAX_MEMORY
+    max_memory: Annotated[WholeNumber, Field(ge=MIN_MEMORY)] = DEFAULT_MAX_MEMORY
     max_beams: Count = 200_000
     max_scan_cells: Count = DEFAULT_MAX_SCAN_CELLS
     pose_wait: NotNegative = DEFAULT_RULES.pose_wait

@@ -1,6 +1,7 @@
 """Values of settings: what they can be, how they are written as text, and the presets."""
 
 import difflib
+import ipaddress
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -55,6 +56,22 @@ def parse_number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"a number is needed, got {cut(text)!r}")
     return float(text)
+
+
+def address_without_port(text: str) -> str:
+    """The address or name of a host as it is given.
+
+    Raises:
+        ValueError: it is neither, such as a URL, or has a port.
+    """
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        if not _NAME_OF_HOST.fullmatch(text):
+            raise ValueError(
+                "an address without a port is needed, such as 127.0.0.1; the port is http.port (--http-port)"
+            ) from None
+    return text
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
