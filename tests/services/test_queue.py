@@ -133,7 +133,7 @@ def test_a_dropped_scan_gives_its_payload_back():
 
 
 def test_bytes_are_limited_too():
-    queue = ScanQueue(100, max_bytes=1000)
+    queue = ScanQueue(100, max_bytes=1250)  # 1000 of scans
     assert queue.put(item(A, "a1", 400)) == []
     assert queue.put(item(B, "b1", 300)) == []
     assert queue.put(item(A, "a2", 300)) == []
@@ -143,8 +143,37 @@ def test_bytes_are_limited_too():
     assert [name.rstrip(".") for name in drain(queue)] == ["b1", "a2", "p", "a3", "a4"]
 
 
+def test_scans_and_poses_together_take_no_more_than_the_limit(in_thread):
+    queue = ScanQueue(10_000, max_bytes=1250)
+
+    def flood():
+        for _ in range(50):
+            queue.put(item(POSE, size=20))
+
+    sender = in_thread(flood)
+    assert waits(sender)
+    for _ in range(100):
+        queue.put(item(A, size=30))
+    assert queue.bytes == 12 * 20 + 33 * 30 <= 1250
+    most = 0
+    while queue.take(0) is not None or sender.is_alive():
+        most = max(most, queue.bytes)
+    assert most <= 1250
+    assert queue.bytes == 0
+
+
+def test_a_pose_longer_than_the_room_for_poses_is_taken_alone(in_thread):
+    queue = ScanQueue(10, max_bytes=100)
+    queue.put(item(POSE, "long", 50))
+    sender = in_thread(queue.put, item(POSE, "next"))
+    assert waits(sender)
+    assert queue.take(0).payload.startswith(b"long")
+    sender.join(DEADLINE)
+    assert drain(queue) == ["next"]
+
+
 def test_one_message_may_drop_several_scans():
-    queue = ScanQueue(100, max_bytes=1000)
+    queue = ScanQueue(100, max_bytes=1250)  # 1000 of scans
     for k in range(5):
         queue.put(item(A, str(k), 200))
     assert queue.put(item(A, "big", 900)) == [A] * 5
@@ -152,7 +181,7 @@ def test_one_message_may_drop_several_scans():
 
 
 def test_a_single_scan_beyond_the_limit_is_kept():
-    queue = ScanQueue(100, max_bytes=1000)
+    queue = ScanQueue(100, max_bytes=1250)  # 1000 of scans
     assert queue.put(item(A, "huge", 5000)) == []
     assert queue.put(item(A, "next", 10)) == [A]
     assert [name.rstrip(".") for name in drain(queue)] == ["next"]

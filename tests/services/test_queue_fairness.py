@@ -164,7 +164,7 @@ def test_a_robot_of_few_large_scans_loses_none_to_many_small_ones():
 
 
 def test_long_messages_that_say_nothing_go_before_scans():
-    queue = ScanQueue(100, max_bytes=10_000)
+    queue = ScanQueue(100, max_bytes=12_500)  # 10,000 of scans
     for _ in range(4):
         queue.put(scan(*HONEST, seconds=0.5, size=100))
     gone = [source for _ in range(20) for source in queue.put(scan("noise", size=900))]

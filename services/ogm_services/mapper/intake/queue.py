@@ -16,7 +16,7 @@ MAX_BYTES = 256 * 1024**2
 MAX_WORK = 5.0
 """Work that may wait, by what the cells of each robot's scans have taken so far, s."""
 MAX_POSES = 100_000
-"""Poses are never dropped: past this many waiting, or `max_bytes` of them, their sender is made to wait."""
+"""Poses are never dropped: past this many waiting, or their part of the bytes, their sender waits."""
 MAX_POSES_OF_ROBOT = 10_000
 """The same for those of one robot: whoever floods waits for room of its own."""
 BEHIND = 0.25
@@ -87,7 +87,9 @@ class ScanQueue:
         max_bytes: int = MAX_BYTES,
     ) -> None:
         self.max_bytes = max_bytes
-        """Payload that may wait."""
+        """Payload that may wait: a fifth of it is room for poses, the rest for scans."""
+        self._max_pose_bytes = max_bytes // 5
+        self._max_scan_bytes = max_bytes - self._max_pose_bytes
         self._max_scans = max_scans
         self._cells_of = cells_of or (lambda *_: 1.0)
         self._unseen: deque[Message] = deque()
@@ -133,7 +135,7 @@ class ScanQueue:
             name = item.sender
             gone: list[Source] = []
             if name is not None and not item.is_scan:
-                self._wait_for_room(name)
+                self._wait_for_room(name, len(item.payload))
                 self._count_pose(name, item, 1)
             self._items.append(item)
             if name is not None and item.is_scan:
@@ -204,10 +206,11 @@ class ScanQueue:
             self._items.popleft()
         return bool(self._items)
 
-    def _wait_for_room(self, name: str) -> None:
+    def _wait_for_room(self, name: str, length: int) -> None:
         def there_is() -> bool:
-            full = self._poses >= MAX_POSES or self._pose_size >= self.max_bytes
-            return self._closed or not (full or self._robot(name).poses >= MAX_POSES_OF_ROBOT)
+            full = self._poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
+            too_large = self._poses > 0 and self._pose_size + length > self._max_pose_bytes
+            return self._closed or not (full or too_large)
 
         if not there_is():
             self._room.wait_for(there_is)
@@ -249,7 +252,7 @@ class ScanQueue:
         """Whether more waits than this part of a bound."""
         return (
             self._scans > part * self._max_scans
-            or self._size > part * self.max_bytes
+            or self._size > part * self._max_scan_bytes
             or self._work > part * MAX_WORK
         )
 
@@ -258,7 +261,8 @@ class ScanQueue:
         robot = self._robots.get(name)
         if robot is None:
             return 0.0
-        return max(robot.work / MAX_WORK, robot.size / self.max_bytes, len(robot.scans) / self._max_scans)
+        size = robot.size / self._max_scan_bytes
+        return max(robot.work / MAX_WORK, size, len(robot.scans) / self._max_scans)
 
     def _look(self) -> None:
         """Look how large some of the scans are that wait."""
@@ -281,8 +285,10 @@ class ScanQueue:
     def _make_room(self, name: str) -> list[Source]:
         """Drop scans until no bound is passed; one at least stays. `name`: whose share may have grown."""
         gone: list[Source] = []
-        if self._unseen and (self._behind or self._items[0].arrival < self._unseen[-1].arrival - BEHIND):
-            self._look()
+        if self._unseen and self._items:
+            waited = self._unseen[-1].arrival - self._items[0].arrival
+            if self._behind or waited > BEHIND:
+                self._look()
         if self._largest is not None:
             self._largest.grew(name)
         while self._scans > 1 and self._past(1.0):
