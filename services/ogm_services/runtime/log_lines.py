@@ -1,4 +1,9 @@
-"""Log of a service on stderr: one line an event, as text or as JSON, at a bounded rate."""
+"""Log of a service on stderr: one line an event, as text or as JSON, at a bounded rate.
+
+Three things bound it, each another one. `RateLimit` bounds the whole log, whoever writes: so many lines of
+each logger and level. `LimitedLog` bounds what is said of one source, so that one robot's nonsense keeps no
+other robot's line out. The mapper's `Overload` counts dropped scans between its lines, to tell their rate.
+"""
 
 import json
 import logging

@@ -73,6 +73,9 @@ class _Robot:
 class ScanQueue:
     """Messages in order of arrival. Callbacks put, one worker takes, and says how long each has taken.
 
+    One lock, held while a message is put or taken, and while it is looked how large some of the scans are
+    that wait: LOOKS or LOOKS_BYTES of them. Who puts a pose waits for room, without the lock.
+
     Past a bound the robot with the largest share of the queue loses its oldest scan, however many sensors it
     names. Its share is that of the work, the bytes or the scans that may wait, whichever is largest (dominant
     resource fairness, Ghodsi et al. 2011): a robot of few large scans loses none to many small ones.

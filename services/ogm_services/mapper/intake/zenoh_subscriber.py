@@ -28,8 +28,9 @@ log = logging.getLogger(__name__)
 class ZenohSubscriber:
     """Takes poses and scans alike, so that their order is kept, until `close`.
 
-    Zenoh's thread calls the callbacks, which only count and enqueue: they would hold up the link. What is
-    longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The robots'
+    Zenoh's thread calls the callbacks, which count and enqueue, and decode nothing: they would hold up the
+    link. They do so where a pose has to wait for room in the queue: that slows down who sends too many. What
+    is longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The robots'
     liveliness tokens take the same way, so that the worker hears of a robot's end after what came before it.
     """
 
