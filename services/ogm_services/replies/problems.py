@@ -29,6 +29,22 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (Unavailable, 503),
 )
 
+# What is refused below the application, or by its router: no error of ours was raised.
+_SLUGS = {
+    400: "bad-request",
+    404: "not-found",
+    405: "method-not-allowed",
+    408: "request-timeout",
+    413: "content-too-large",
+    414: "uri-too-long",
+    431: "headers-too-large",
+}
+
+
+def slug_of(status: int) -> str:
+    """Slug of what HTTP itself refuses with a status code."""
+    return _SLUGS.get(status, "http")
+
 
 def status_of(error: OgmError) -> int:
     """HTTP status code of an error."""

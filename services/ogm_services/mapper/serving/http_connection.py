@@ -14,7 +14,7 @@ import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
-from ogm_services.replies.problems import MEDIA_TYPE, problem
+from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 
 LINGER = 2.0
 """How long a refused client may take to read why, s: closing a socket with unread bytes loses the answer."""
@@ -25,15 +25,9 @@ MAX_PIPELINED = 16
 FRAMING = 16
 """Bytes of a chunked body's frames, for each byte that a body may have."""
 
-_SLUGS = {
-    400: "bad-request",
-    408: "request-timeout",
-    413: "content-too-large",
-    414: "uri-too-long",
-    431: "headers-too-large",
-}
+
 _FULL, _STALLED = "full", "stalled"
-CLOSED_FOR = (*_SLUGS.values(), _FULL, _STALLED)
+CLOSED_FOR = (*map(slug_of, (400, 408, 413, 414, 431)), _FULL, _STALLED)
 """Why connections are closed here: a request that is refused, no room, an answer that nobody takes."""
 
 
@@ -284,12 +278,12 @@ class HttpConnection(HttpToolsProtocol):
 
     def _refuse(self, refused: _Refused) -> None:
         self._waiting.complain("HTTP", str(refused.status), f"a request is refused: {refused}")
-        self._waiting.closed(_SLUGS[refused.status])
+        self._waiting.closed(slug_of(refused.status))
         if self._answering:  # an answer that is under way is not torn
             self._hang_up_after_answer()
             return
         self._refused = True
-        body = problem(_SLUGS[refused.status], refused.status, str(refused))
+        body = problem(slug_of(refused.status), refused.status, str(refused))
         head = (
             f"HTTP/1.1 {refused.status} {http.HTTPStatus(refused.status).phrase}\r\n"
             f"Content-Type: {MEDIA_TYPE}\r\nContent-Length: {len(body)}\r\n"

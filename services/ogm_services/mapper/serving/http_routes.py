@@ -40,7 +40,7 @@ from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
-from ogm_services.replies.problems import MEDIA_TYPE, problem
+from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 from ogm_services.replies.turns import Turns
 
 UNHEARD = "t"
@@ -243,8 +243,7 @@ async def _ogm_error(_: Request, error: Exception) -> Response:
 
 async def _http_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    slug = {404: "not-found", 405: "method-not-allowed"}.get(error.status_code, "http")
-    body = problem(slug, error.status_code, str(error.detail))
+    body = problem(slug_of(error.status_code), error.status_code, str(error.detail))
     return Response(body, error.status_code, error.headers, MEDIA_TYPE)
 
 
