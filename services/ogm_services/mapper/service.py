@@ -38,6 +38,7 @@ from ogm_services.mapper.live.load import FallingBehind
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.live.presence import RobotPresence
 from ogm_services.mapper.live.start_map import started_grid
+from ogm_services.mapper.live.timed_sink import TimedSink
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
@@ -45,7 +46,6 @@ from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import MAX_WAITING, build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics
-from ogm_services.mapper.serving.measurements import TimedSink
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.shares import Shares

@@ -2,13 +2,10 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from prometheus_client import Counter, Histogram
 from prometheus_client.metrics_core import GaugeMetricFamily, Metric
 
-from ogm_core.placing.scan_placer import ScanSink
-from ogm_core.types import Pose, Scan, Sweep
 from ogm_services.mapper.serving.http_connection import CLOSED_FOR
 
 AGE_BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
@@ -81,18 +78,3 @@ class Measurements:
             yield GaugeMetricFamily("ogm_last_integrated_timestamp_seconds", text, self._last_integrated)
         for instrument in (self._age, self.integration, self._requests, self._durations, self._closed):
             yield from instrument.collect()
-
-
-@dataclass(frozen=True)
-class TimedSink:
-    """A map that measures how long it takes for each scan that it integrates."""
-
-    sink: ScanSink
-    histogram: Histogram
-
-    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
-        """Hand a scan on to the map; see `ScanSink`."""
-        began = time.perf_counter()
-        updates = self.sink.integrate(scan, pose, sweep)
-        self.histogram.observe(time.perf_counter() - began)
-        return updates
