@@ -218,7 +218,7 @@ def test_tokens_take_room_of_their_robot_and_are_never_dropped(monkeypatch):
 
 
 def test_robots_that_are_gone_are_forgotten(monkeypatch):
-    monkeypatch.setattr(queue_module, "MAX_ROBOTS", 50)
+    monkeypatch.setattr(queue_module, "MAX_RATES", 50)
     queue = ScanQueue(4096)
     queue.put(scan("waits", seconds=0.5))
     for k in range(1000):

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.rules import MAX_ROBOTS
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.queue import ScanQueue
 
 PERIOD = 10.0
 """Each robot is told of at most this often, s."""
-MAX_ROBOTS = 1000
-"""Robots remembered; of more than that not each is told of in its turn."""
 
 log = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ BEHIND = 0.25
 LOOKS = 64
 """So many scans, or LOOKS_BYTES of them, are looked at in one go."""
 LOOKS_BYTES = 4 * 1024**2
-MAX_ROBOTS = 2000
+MAX_RATES = 2000
 """Robots whose rates are remembered; one that is forgotten is measured anew."""
 
 
@@ -221,7 +221,7 @@ class ScanQueue:
     def _robot(self, name: str) -> _Robot:
         robot = self._robots.get(name)
         if robot is None:
-            if len(self._robots) >= MAX_ROBOTS:
+            if len(self._robots) >= MAX_RATES:
                 self._forget_some()
             robot = self._robots[name] = _Robot()
         return robot

@@ -6,7 +6,8 @@ from ogm_services.replies.turns import MAX_WAITING, Turns
 class Shares:
     """Turns for every kind of question, of one protocol: each route says which it belongs to.
 
-    A share is small, because what is made at the same time takes memory at the same time.
+    A share is small, because what is made at the same time takes memory at the same time. A mapper has two of
+    them, one for HTTP and one for Zenoh: so 16 maps are made at once at most, 8 for each.
     """
 
     def __init__(self, waiting: int = MAX_WAITING) -> None:
