@@ -99,7 +99,7 @@ def found_browser() -> str:
 @contextmanager
 def running_demo() -> Iterator[tuple["subprocess.Popen[str]", str]]:
     """A demo in the office on free ports, and the address of its live page; it ends with the `with`."""
-    flags = "--world", "office", "--listen", "tcp/127.0.0.1:0", "--http-port", "0"
+    flags = "--world", "office", "--listen", "tcp/127.0.0.1:0", "--http-port", "0", "--log-level", "warning"
     demo = subprocess.Popen(
         [sys.executable, "-m", "ogm_services", "demo", *flags],
         env=without_settings(os.environ),

@@ -152,19 +152,20 @@ def test_a_mapper_that_dies_midway_is_a_failure(ogm, lab_log, eventually):
 
 
 def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):
-    # Each scan keeps the worker busy for far longer than the next one takes to arrive.
+    # Each scan keeps the worker busy for longer than the next one takes to come, and the queue is far smaller
+    # than the share that a replay keeps to.
     scan = {
-        "type": "scan", "robot": "r1", "sensor": "s", "run": "a", "angle_min": 0.0, "angle_increment": 3e-4,
-        "range_min": 0.0, "range_max": 200.0, "ranges": [100.0] * 20_000, "pose": [0.0, 0.0, 0.0],
+        "type": "scan", "robot": "r1", "sensor": "s", "run": "a", "angle_min": 0.0, "angle_increment": 6e-3,
+        "range_min": 0.0, "range_max": 200.0, "ranges": [100.0] * 1000, "pose": [0.0, 0.0, 0.0],
     }  # fmt: skip
-    ogm.file("big.jsonl", "\n".join(json.dumps({**scan, "stamp": k, "seq": k}) for k in range(20)))
+    ogm.file("big.jsonl", "\n".join(json.dumps({**scan, "stamp": k, "seq": k}) for k in range(60)))
     mapper = ogm.ready(ogm.mapper(OGM_MAPPER__QUEUE="1"))
     ended = ogm.call("replay", "big.jsonl", "--connect", mapper.endpoint, "--speed", "max")
     scans = mapper.status()["scans"]
     assert scans["dropped"]["overload"] > 0
-    assert scans["integrated"] + scans["dropped"]["overload"] == scans["received"] == 20
+    assert scans["integrated"] + scans["dropped"]["overload"] == scans["received"] == 60
     complaint = (
-        f"20 scans sent, {scans['integrated']} integrated, {scans['dropped']['overload']} dropped: overload"
+        f"60 scans sent, {scans['integrated']} integrated, {scans['dropped']['overload']} dropped: overload"
     )
     assert ended.complaint(1) == f"ogm: {complaint}\n"
 

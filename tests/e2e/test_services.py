@@ -130,7 +130,8 @@ def test_services_stop_while_scans_stream_and_clients_hang_on(ogm, mapper, event
         ended = mapper.command.stop(number)
         assert ended.code == 0, ended
     ended = robot.stop(number)
-    assert (ended.code, ended.err) == (0, "")
+    said = [line for line in ended.err.splitlines() if not line.endswith("too slowly")]  # on a busy machine
+    assert (ended.code, said) == (0, [])
 
 
 @pytest.mark.parametrize("number", STOPS)

@@ -38,7 +38,7 @@ def simulating(in_background, monkeypatch, eventually):
     def ticks(ended):
         step = 0
         while not ended.wait(0.01):
-            yield step
+            yield step, step
             step += 1
 
     def start(endpoint, world):

@@ -143,8 +143,8 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
         _wait_for_mapper(robots[simulation.robots[0]])
         opening.enter_context(_told_if_unheard(list(robots.values())))
         typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
-        for step in _ticks(options):
-            for message in simulation.messages(step, time.time_ns(), run):
+        for step, stamp in _ticks(options):
+            for message in simulation.messages(step, stamp, run):
                 if isinstance(message, RecordedScan):
                     robots[message.robot].put_scan(message.sensor, message.message)
                 else:
@@ -215,15 +215,19 @@ def _told_if_unheard(robots: list[RobotPublisher]) -> Iterator[None]:
         looking.join()
 
 
-def _ticks(options: SimulatorOptions) -> Iterator[int]:
-    """Step numbers at the rate of the scans."""
+def _ticks(options: SimulatorOptions) -> Iterator[tuple[int, int]]:
+    """Step numbers at the rate of the scans, and when each of them is due, ns since the Unix epoch.
+
+    A step that comes late has its own time all the same: else the next one, in haste, would be a jump.
+    """
     due, step = time.monotonic(), 0
+    epoch_ns = time.time_ns() - round(due * 1e9)
     while options.scans is None or step < options.scans:
         late = time.monotonic() - due
         if late > FALLEN_BEHIND:
             log.warning("this machine simulates %g scans a second too slowly", options.rate)
             due += late
         time.sleep(max(0.0, -late))
-        yield step
+        yield step, epoch_ns + round(due * 1e9)
         due += 1.0 / options.rate
         step += 1
