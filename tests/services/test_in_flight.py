@@ -174,7 +174,7 @@ def test_many_slow_readers_of_one_body_hold_it_once(server, eventually):
                 clients.enter_context(server.stalled("/kept"))
             eventually(lambda: server.in_flight.held == 8 * MIB + 30 * BUFFERED)
             held, _ = tracemalloc.get_traced_memory()
-            assert held < 30 * (BUFFERED + PIECE)
+            assert held < 60 * (BUFFERED + PIECE)  # 30 copies are ten times that
         eventually(lambda: server.in_flight.held == 0)
     finally:
         tracemalloc.stop()
