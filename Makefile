@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Python, with compiled kernels kept where `ogm` keeps them.
 PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)/python
 
-.PHONY: demo test check coverage format pictures page-picture variants costs bench bench-quick clean
+.PHONY: demo test check coverage format pictures page-picture variants costs bench bench-quick soak clean
 
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
@@ -67,6 +67,10 @@ bench: $(VENV)/.run
 bench-quick: $(VENV)/.run
 	$(PYTHON_WITH_KERNELS) -m benchmarks --quick $(ARGS)
 
+# The long versions of what the tests hold, and the tables of docs/guarantees.md: 40 minutes, nothing else running.
+soak: $(VENV)/.soak
+	$(PYTHON_WITH_KERNELS) -m tests.soak $(ARGS)
+
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -83,3 +87,7 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	@echo "Installing into $(VENV), once, with the tools of development: 0.8 GB on disk, a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.run
+
+$(VENV)/.soak: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,soak]'
+	@touch $@

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from ogm_client import MapClient, RobotPublisher
 from ogm_core.types import PlacedScan
 from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[1]
-STARTED, STOPPED, HANDLED = 60.0, 10.0, 60.0
+STARTED, STOPPED, HANDLED = 180.0, 15.0, 60.0
 """How long a service may take to start, to end, and to handle what it was sent, s."""
 
 
@@ -45,9 +46,14 @@ def ogm(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def program(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """A process in the project's folder that is told to end, and made to if it does not."""
-    process = subprocess.Popen(command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, bufsize=0)
+def program(command: Sequence[str], log: IO[bytes] | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A process in the project's folder that is told to end, and made to if it does not.
+
+    Its standard error goes to `log`; None: to this process's own.
+    """
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, stderr=log, bufsize=0
+    )
     with process:
         try:
             yield process
