@@ -28,8 +28,6 @@ LEASE_MS = 2000
 """A process that freezes counts as gone after this long, ms."""
 SEND_TIME_US = 500_000
 """How long a message may wait for room in the buffers of a link until whoever serves many closes it, us."""
-MAX_SERVED_BYTES = 4_000_000
-"""The longest message that is put together for whoever serves many, bytes: five of the largest scans."""
 
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
 _WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
@@ -46,7 +44,7 @@ class NetworkConfig:
     `mode` None: "peer" with an endpoint to listen on, else "client". `config_file`, a Zenoh JSON5 file,
     replaces all of our defaults; `mode`, `listen` and `connect` still override what it says, if given.
     `connect_timeout`: how long to try until something takes connections, s; inf: until something does.
-    `serves`: many connect here, who are not to be held up by one that takes nothing, or sends too much.
+    `serves`: many connect here, who are not to be held up by one that takes nothing.
     """
 
     mode: Literal["client", "peer"] | None = None
@@ -195,7 +193,6 @@ def _hermetic(config: NetworkConfig) -> zenoh.Config:
         # takes all who are well for dead. Its own 5 s are longer than that.
         tx = "transport/link/tx/queue/congestion_control/block/wait_before_close"
         _insert(settings, tx, SEND_TIME_US)
-        _insert(settings, "transport/link/rx/max_message_size", MAX_SERVED_BYTES)
     return settings
 
 

@@ -160,7 +160,9 @@ def _read_npz(file: BinaryIO, name: str, max_bytes: int) -> NpzMap:
                 raise BadInput(f"{name}: offset is {offset}, at most {MAX_INDEX} cells are needed")
             log_odds = packed.read()
     except UNREADABLE as error:
-        raise BadInput(f"{name}: not a map that was saved here and can be read ({error})") from error
+        raise BadInput(
+            f"{name}: not a map that was saved here and can be read ({cut(str(error))})"
+        ) from error
     x, y = anchor.tolist()
     ix, iy = offset.tolist()
     return NpzMap(log_odds, float(resolution), (x, y), (ix, iy))
