@@ -161,7 +161,7 @@ def _read_npz(file: BinaryIO, name: str, max_bytes: int) -> NpzMap:
             log_odds = packed.read()
     except UNREADABLE as error:
         raise BadInput(
-            f"{name}: not a map that was saved here and can be read ({cut(str(error))})"
+            f"{name}: not a map that was saved here and can be read ({str(error)[:400]})"
         ) from error
     x, y = anchor.tolist()
     ix, iy = offset.tolist()

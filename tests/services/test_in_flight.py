@@ -208,5 +208,5 @@ def test_no_answer_is_larger_than_what_max_memory_leaves(start_mapper):
         assert mapper.http.get("/map.json").status_code == 200
         memory = mapper.service.memory
         memory.limit = memory.total() - memory.held()["caches"] + SMALL  # what is kept is in no answer's way
-        assert mapper.http.get("/map.json").status_code == 503
+        assert mapper.http.get("/map.json?values=trinary").status_code == 503
         assert mapper.http.get("/status").status_code == 200
