@@ -26,6 +26,11 @@ def cut(text: str) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
 
 
+def printable(text: str) -> str:
+    """A text with a question mark for every character that ends a line, or that a terminal does not show."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 class OgmError(Exception):
     """Base of every error that is raised on purpose; anything else is a bug."""
 

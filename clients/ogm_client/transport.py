@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, NoReturn, Protocol
 
 from ogm_client.errors import BadReply, MapperError
+from ogm_core import errors
 
 NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quality", "status")
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
@@ -124,7 +125,7 @@ def mapper_error(what: str, payload: bytes) -> MapperError:
 def printable(text: str) -> str:
     """What a stranger says, for a terminal: one line, not long, without characters that steer it."""
     line = " ".join(text[: 2 * _SHOWN].split())
-    shown = "".join(letter if letter.isprintable() else "?" for letter in line)
+    shown = errors.printable(line)
     return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
 
 

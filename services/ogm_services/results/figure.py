@@ -24,6 +24,7 @@ from matplotlib.path import Path
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
+from ogm_core.errors import printable
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.pictures.scale_bar import round_length
@@ -234,5 +235,5 @@ def _lay_out(figure: Figure, frame: _Frame, name: str, description: str, handles
 
 
 def _shortened(name: str, longest: int) -> str:
-    printable = "".join(letter if letter.isprintable() else "?" for letter in name)
-    return printable if len(printable) <= longest else f"{printable[: longest - 1]}…"
+    shown = printable(name)
+    return shown if len(shown) <= longest else f"{shown[: longest - 1]}…"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, SecretStr
 
+from ogm_core.errors import printable
 from ogm_core.files.strict_yaml import dump_yaml
 from ogm_services.settings.settings import SECTIONS, Settings
 
@@ -32,12 +33,13 @@ def described(settings: Settings, origins: "Origins") -> str:
         for key in kind.model_fields:
             line = _line(key, _plain(getattr(getattr(settings, section), key)))
             origin = origins.settings.get((section, key))
-            lines.append(f"  # {line}  # default" if origin is None else f"  {line}  # {_comment(origin)}")
+            # Names of files may hold anything.
+            lines.append(f"  # {line}  # default" if origin is None else f"  {line}  # {printable(origin)}")
     lines.append("sensors:" if settings.sensors else "# sensors: []  # default")
     for sensor, origin in zip(settings.sensors, origins.sensors, strict=True):
         entry = sensor.model_dump(mode="json", exclude_none=True)
         first, *rest = [_line(key, value) for key, value in entry.items()]
-        lines += [f"- {first}  # {_comment(origin)}", *(f"  {line}" for line in rest)]
+        lines += [f"- {first}  # {printable(origin)}", *(f"  {line}" for line in rest)]
     return "\n".join(lines) + "\n"
 
 
@@ -84,8 +86,3 @@ def _short(value: object) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return ",".join(map(str, value))
     return str(value)
-
-
-def _comment(origin: str) -> str:
-    """An origin on the rest of a line: names of files may hold anything."""
-    return "".join(c if c.isprintable() else "?" for c in origin)

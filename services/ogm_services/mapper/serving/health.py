@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ogm_core.errors import printable
+
 
 @dataclass(frozen=True)
 class Health:
@@ -19,5 +21,4 @@ class Health:
     def not_ready(self) -> str | None:
         """Why it should get no scans now, all reasons on one line; None if it should."""
         found = [self.not_alive(), *(reason() for reason in self.reasons)]
-        line = "; ".join(filter(None, found))
-        return "".join(letter if letter.isprintable() else "?" for letter in line) or None
+        return printable("; ".join(filter(None, found))) or None
