@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Ranges = NDArray[np.float32]
+_BESIDES_RANGES = 1024
+"""What a scan takes in memory besides its ranges, about, bytes."""
 
 
 class Pose(NamedTuple):
@@ -82,6 +84,11 @@ class Scan:
     run: str = ""
     clear_range: float | None = None
     reach: float | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes in memory, about: its ranges, and all else."""
+        return self.ranges.nbytes + _BESIDES_RANGES
 
     @property
     def end_stamp(self) -> int:

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 from ogm_core.types import Scan
 
-_BESIDES = 1024
-"""What a waiting scan takes beside its ranges, about, bytes."""
-
 
 @dataclass(frozen=True)
 class WaitingLimits:
@@ -41,7 +38,7 @@ class Waiting:
     @property
     def nbytes(self) -> int:
         """What it holds."""
-        return self.scan.ranges.nbytes + _BESIDES
+        return self.scan.nbytes
 
 
 @dataclass(slots=True)

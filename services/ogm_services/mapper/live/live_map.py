@@ -31,9 +31,6 @@ FIGURES_PERIOD = 1.0
 PATIENCE = 3.0
 """Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
 
-_BESIDES = 1024
-"""What a scan takes besides its ranges and poses, about, bytes."""
-
 _T = TypeVar("_T")
 
 
@@ -311,7 +308,7 @@ class _RecentScans:
 
 def _bytes_of(placed: PlacedScan) -> int:
     sweep = placed.sweep
-    return placed.scan.ranges.nbytes + (0 if sweep is None else sweep.beams.nbytes) + _BESIDES
+    return placed.scan.nbytes + (0 if sweep is None else sweep.beams.nbytes)
 
 
 class _Figure:
