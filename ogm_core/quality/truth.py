@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from ogm_core.cells.classes import OCCUPIED_ABOVE
 from ogm_core.cells.model import P_EDGE, row_bands
 from ogm_core.lattice import CellRect, Lattice
+from ogm_core.quality.figures import BAND
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 
 SLACK = 1e-9
 """By how much a cell's square is widened on every side, cells: what rounding may move an outline by."""
-BAND = 64
-"""Rows that are judged together where not all can be."""
 _KNOWN, _OCCUPIED = 1, 2
 _PIECE = 2**18
 """Rows, or cells, of outlines that are worked on in one go: bounds the memory."""

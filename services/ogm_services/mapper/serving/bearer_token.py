@@ -4,6 +4,7 @@ import hmac
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from ogm_core.errors import MAX_SHOWN
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.same_origin import SAFE_METHODS
 from ogm_services.replies.answer import Unauthorized
@@ -33,7 +34,7 @@ class BearerToken:
             await self._app(scope, receive, send)
             return
         error = Unauthorized(
-            f"{scope['method']} {scope['path'][:100]}: refused: it needs the header "
+            f"{scope['method']} {scope['path'][:MAX_SHOWN]}: refused: it needs the header "
             "`Authorization: Bearer TOKEN` with the token of the mapper's settings (http.token)"
         )
         challenge = {"WWW-Authenticate": 'Bearer error="invalid_token"' if given else "Bearer"}

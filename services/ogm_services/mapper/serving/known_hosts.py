@@ -13,14 +13,13 @@ from functools import lru_cache
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from ogm_core.errors import MAX_SHOWN
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.replies.answer import BadHost, ForeignHost
 
 _HOST = re.compile(rb"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_\-.]+)(?::([0-9]{1,5}))?")
 """Host of RFC 9112, section 3.2, without what no name of the network has in it."""
 _REMEMBERED = 256
-_SHOWN = 100
-"""So much of a header is repeated in the answer, bytes."""
 
 
 class KnownHosts:
@@ -52,7 +51,7 @@ class KnownHosts:
 
     def _judged(self, header: bytes) -> BadHost | ForeignHost | None:
         """What is wrong with a Host header."""
-        shown = header[:_SHOWN].decode("latin-1")
+        shown = header[:MAX_SHOWN].decode("latin-1")
         parts = _HOST.fullmatch(header)
         if parts is None or int(parts[2] or 0) > 65535:
             return BadHost(f"Host {shown!r}: a name or an address is needed, with a port or without")

@@ -4,6 +4,7 @@ import logging
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ogm_core.errors import MAX_SHOWN
 from ogm_services.runtime.limited_log import LimitedLog
 
 _WHY = {
@@ -11,8 +12,6 @@ _WHY = {
     403: "by a page of another origin",
     421: "under a name that the mapper does not go by",
 }
-_SHOWN = 100
-"""So much of what a client sent is repeated in the log, characters."""
 
 log = logging.getLogger(__name__)
 
@@ -34,8 +33,8 @@ class RefusedHttp:
                 self._complaints.of_kind(
                     (scope.get("client") or ["somebody"])[0],
                     str(message["status"]),
-                    f"{scope['method']} {scope['path'][:_SHOWN]} refused over HTTP, asked for {why} "
-                    f"({message['status']}; Host {host.decode('latin-1')[:_SHOWN]})",
+                    f"{scope['method']} {scope['path'][:MAX_SHOWN]} refused over HTTP, asked for {why} "
+                    f"({message['status']}; Host {host.decode('latin-1')[:MAX_SHOWN]})",
                 )
             await send(message)
 
