@@ -156,9 +156,10 @@ class Answers:
         key = (form, tuple(sorted(given.items())))
         answer = self._cache.find(key, asked)
         if answer is None:
-            with self._not_too_many(form, given), self._cache.turn(key):
+            region = _region_of(given)
+            with self._not_too_many(form, given, region), self._cache.turn(key):
                 # Whoever had the turn before may have encoded a map that is new enough for this one too.
-                answer = self._cache.find(key, asked) or self._encoded(wanted, given, key)
+                answer = self._cache.find(key, asked) or self._encoded(wanted, given, region, key)
         return answer
 
     def now(self) -> Identity:
@@ -166,10 +167,10 @@ class Answers:
         return self._map.now
 
     @contextmanager
-    def _not_too_many(self, form: str, given: Parameters) -> Iterator[None]:
+    def _not_too_many(self, form: str, given: Parameters, region: Region | None) -> Iterator[None]:
         """Let so few large answers be made, or waited for, that small ones always find a thread."""
         kept = form == "png" and given.keys() <= {"palette"}  # the picture that is kept up to date is quick
-        large = not kept and self._map.cells_in(_region_of(given)) > LARGE
+        large = not kept and self._map.cells_in(region) > LARGE
         if large and not self._large.acquire(blocking=False):
             raise Busy(
                 f"{LARGE_AT_ONCE} answers of more than {LARGE} cells are being made: "
@@ -181,26 +182,25 @@ class Answers:
             if large:
                 self._large.release()
 
-    def _encoded(self, wanted: _MapFormat, given: Parameters, key: object) -> Answer:
+    def _encoded(self, wanted: _MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
         snapshot = self._map.snapshot()
-        region = _region_of(given)
         cropped = snapshot if region is None else snapshot.crop(region)
         picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
         with self._in_flight.making(_bytes_to_make(wanted, cropped, picture)):
-            cut = _shrunk(cropped, given)
-            if picture is not None and cut is snapshot:
+            shown = _shrunk(cropped, given)
+            if picture is not None:
                 body = picture.png(snapshot)
             else:
-                body = wanted.encode(cut, self._map_name, given)
-        answer = Answer(body, wanted.media_type, cut.meta())
+                body = wanted.encode(shown, self._map_name, given)
+        answer = Answer(body, wanted.media_type, shown.meta())
         self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
         if self._memory is not None:
             self._memory.make_room()
         return answer
 
-    def _picture_of(self, wanted: _MapFormat, cut: MapSnapshot, given: Parameters) -> MapPicture | None:
+    def _picture_of(self, wanted: _MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
-        if wanted is not MAP_FORMATS["png"] or cut.empty or "max_size" in given:
+        if wanted is not MAP_FORMATS["png"] or whole.empty or "max_size" in given:
             return None
         return self._pictures.get(given.get("palette", DEFAULT_PALETTE))
 
