@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from ogm_core.files.map_files import NpzMap
+from ogm_core.wire.messages import encode_scan
 from tests.soak.bad_messages import GOOD_BUT_ODD, MESSAGES, REQUESTS
 from tests.soak.overload import HONEST, Report, differing, overloaded
+from tests.soak.robots import messages, placed
 
 
 def test_no_cell_is_wrong_after_a_moment_of_overload():
@@ -34,6 +36,12 @@ def test_what_is_wrong_is_said(wrong, said):
     good = {"sent": Counter(dict.fromkeys(HONEST, 100)), "integrated": Counter(dict.fromkeys(HONEST, 95))}
     assert Report(1.0, 1.0, **good).failures() == []
     assert Report(1.0, 1.0, **{**good, **wrong}).failures()[0].startswith(said)
+
+
+@pytest.mark.parametrize("robot", ["honest-2", "flood-0", "heavy-0"])
+@pytest.mark.parametrize("number", [0, 1, 300, 70_000])
+def test_a_message_encoded_ahead_is_the_one_encoded_anew(robot, number):
+    assert messages(robot, number)[-1][1] == encode_scan(placed(robot, number).scan)
 
 
 def test_cells_that_differ_are_counted():
