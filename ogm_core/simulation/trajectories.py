@@ -7,6 +7,7 @@ from functools import cached_property
 from itertools import pairwise
 
 from ogm_core.errors import BadWorld
+from ogm_core.files.strict_yaml import shown
 from ogm_core.types import Pose
 
 MAX_POSES = 100_000
@@ -35,7 +36,7 @@ class CirclePath:
         if not self.r > 0.0:
             raise BadWorld(f"path: circle: a radius above 0 is needed, got {self.r:g}")
         if not 1 <= self.count <= MAX_POSES:
-            raise BadWorld(f"path: poses: 1 to {MAX_POSES} are needed, got {self.count:.6g}")
+            raise BadWorld(f"path: poses: 1 to {MAX_POSES} are needed, got {shown(self.count)}")
 
     def pose(self, i: int) -> Pose:
         """Pose number `i`, at angle 2 pi (i mod count) / count from the x axis."""

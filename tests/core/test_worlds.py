@@ -195,6 +195,10 @@ def test_aliases_are_read():
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0, 1]}", "path: poses: how many, .* got nothing"),
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0, 1], poses: 2.5}", "path: poses: .* got 2.5"),
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0, 1], poses: true}", "path: poses: .* got True"),
+        (
+            f"circles: [[0, 0, 1]]\npath: {{circle: [0, 0, 1], poses: {10**400}}}",
+            "path: poses: 1 to 100000 are needed, got one beyond 1e",
+        ),
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0, 1], poses: 0}", "path: poses: 1 to"),
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0], poses: 3}", r"path: circle: \[cx, cy, r\] is needed"),
         ("circles: [[0, 0, 1]]\npath: {circle: [0, 0, 0], poses: 3}", "path: circle: a radius above 0"),
