@@ -17,6 +17,8 @@ from ogm_core.types import PlacedScan
 from ogm_services.settings.sources import without_settings
 
 ROOT = Path(__file__).parents[1]
+PACKAGES = (".", "services", "clients")
+"""Where the packages of a checkout lie."""
 STARTED, STOPPED, HANDLED = 180.0, 15.0, 60.0
 """How long a service may take to start, to end, and to handle what it was sent, s."""
 
@@ -46,13 +48,17 @@ def ogm(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def program(command: Sequence[str], log: IO[bytes] | None = None) -> Iterator[subprocess.Popen[bytes]]:
+def program(
+    command: Sequence[str], log: IO[bytes] | None = None, folder: Path = ROOT
+) -> Iterator[subprocess.Popen[bytes]]:
     """A process in the project's folder that is told to end, and made to if it does not.
 
-    Its standard error goes to `log`; None: to this process's own.
+    Its standard error goes to `log`; None: to this process's own. With another `folder`, a checkout of the
+    project, it is that one's code that runs.
     """
+    own = {} if folder == ROOT else {"PYTHONPATH": ":".join(str(folder / part) for part in PACKAGES)}
     process = subprocess.Popen(
-        command, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, stderr=log, bufsize=0
+        command, cwd=folder, env=environment() | own, stdout=subprocess.PIPE, stderr=log, bufsize=0
     )
     with process:
         try:

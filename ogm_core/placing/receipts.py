@@ -129,11 +129,6 @@ class Receipts:
             self._changing(robot, sensor).received += 1
             return True
 
-    def heard(self, robot: str, now: float) -> None:
-        """Note that any message of a robot arrived at `now`; that a later one did is not forgotten by it."""
-        with self._lock:
-            self._heard(robot, now)
-
     def admits(self, robot: str, now: float | None = None) -> bool:
         """Whether a robot has counts of its own, or gets them now: there is a last one."""
         with self._lock:

@@ -13,6 +13,7 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.types import Pose, Scan
+from ogm_services.mapper.live import live_map
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
@@ -66,7 +67,8 @@ def test_the_map_grows_until_it_and_its_copy_and_all_else_take_max_memory():
     assert memory.total() <= memory.limit
 
 
-def test_what_others_hold_stops_only_what_needs_new_tiles():
+def test_what_others_hold_stops_only_what_needs_new_tiles(monkeypatch):
+    monkeypatch.setattr(live_map, "LOOK_PERIOD", 0.0)
     memory, others = MemoryUse(64 * MEBIBYTE), [0]
     memory.add("queue", lambda: others[0])
     live = LiveMap(OccupancyGrid(SETTINGS, "e"), memory)

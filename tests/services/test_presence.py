@@ -27,7 +27,7 @@ def test_a_robot_with_a_token_comes_and_goes_with_it(told):
     presence = RobotPresence(receipts.presence)
     receipts.robot_alive("r1", "a", True)
     assert told(presence, 0.0) == ["robot r1 came"]
-    receipts.heard("r1", 0.5)
+    receipts.pose_received("r1", 0.5)
     assert told(presence, 1000.0) == []
     receipts.robot_alive("r1", "a", False)
     assert told(presence, 1000.1) == ["robot r1 went: it does not say any more that it is alive"]
@@ -41,11 +41,11 @@ def test_a_robot_whose_token_goes_with_its_last_message_does_not_come_back_for_i
     presence = RobotPresence(receipts.presence)
     receipts.robot_alive("r1", "a", True)
     told(presence, 0.0)
-    receipts.heard("r1", 1.0)
+    receipts.pose_received("r1", 1.0)
     receipts.robot_alive("r1", "a", False)
     assert len(told(presence, 1.1)) == 1
     assert told(presence, 1.2) == []
-    receipts.heard("r1", 2.0)
+    receipts.pose_received("r1", 2.0)
     assert told(presence, 2.1) == ["robot r1 came"]
     assert told(presence, 2.0 + GONE_AFTER + 0.1) == ["robot r1 went: it has been silent for 60 s"]
 
@@ -66,11 +66,11 @@ def test_a_robot_without_a_token_comes_with_a_message_and_goes_when_silent(told)
     presence = RobotPresence(receipts.presence)
     receipts.pose_received("r1")
     assert told(presence, 0.0) == []
-    receipts.heard("r1", 10.0)
+    receipts.pose_received("r1", 10.0)
     assert told(presence, 10.5) == ["robot r1 came"]
     assert told(presence, 10.0 + GONE_AFTER) == []
     assert told(presence, 10.1 + GONE_AFTER) == ["robot r1 went: it has been silent for 60 s"]
-    receipts.heard("r1", 100.0)
+    receipts.pose_received("r1", 100.0)
     assert told(presence, 100.0) == ["robot r1 came"]
 
 

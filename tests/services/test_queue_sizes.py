@@ -67,7 +67,7 @@ def test_many_bytes_are_looked_at_a_few_scans_at_a_time(monkeypatch):
     queue = ScanQueue(10**6, sizes)
     for _ in range(50):
         queue.put(Message(Source("a", "s"), b"0.001".ljust(40), 0.0))
-    queue.put(scan("b", 0.001, 1.0))
+    queue.put(scan("b", 0.001, 2 * BEHIND))
     assert sizes.asked == 3
 
 

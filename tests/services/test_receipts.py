@@ -103,8 +103,8 @@ def test_a_robot_is_alive_while_one_of_its_runs_is_and_as_old_as_its_last_messag
     receipts = Receipts()
     for run, alive in (("x", True), ("y", True), ("x", False), ("x", False)):
         receipts.robot_alive("a", run, alive)
-    receipts.heard("a", 12.5)
-    receipts.heard("b", 15.0)
+    receipts.pose_received("a", 12.5)
+    receipts.pose_received("b", 15.0)
     robots = receipts.status(now=14.0).robots
     assert [(robots[name].alive, robots[name].age_s) for name in "ab"] == [(True, 1.5), (False, 0.0)]
     receipts.robot_alive("a", "y", False)
@@ -134,7 +134,7 @@ def test_a_message_that_is_handled_late_does_not_make_a_robot_heard_longer_ago()
     receipts = Receipts()
     receipts.scan_received("r", "s", 100.0)
     receipts.scan_received("r", "s", 103.0)
-    receipts.heard("r", 100.0)  # the worker has come to the first one
+    receipts.pose_received("r", 100.0)  # the worker has come to the first one
     receipts.robot_alive("r", "run", False, 101.0)
     assert receipts.status(104.0).robots["r"].age_s == 1.0
     assert receipts.gone(103.0 + FORGOTTEN_AFTER) == []

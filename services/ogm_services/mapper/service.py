@@ -182,7 +182,12 @@ class MapperService:
         measured = self._metrics.measurements
         share = self.memory.share(WAITING_BYTES)
         placer = ScanPlacer(
-            *(TimedSink(self.live_map, measured.integration), receipts, complain, settings.placing_rules()),
+            *(
+                TimedSink(self.live_map, measured.integration.observe),
+                receipts,
+                complain,
+                settings.placing_rules(),
+            ),
             hints=hints,
             integrated=measured.scan_integrated,
             limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),

@@ -19,7 +19,7 @@ MAX_POSES = 100_000
 """Poses are never dropped: past this many waiting, or their part of the bytes, their sender waits."""
 MAX_POSES_OF_ROBOT = 10_000
 """The same for those of one robot: whoever floods waits for room of its own."""
-BEHIND = 0.25
+BEHIND = 1.0
 """Once a message has waited for so long, s, it is looked at how large the scans are that wait."""
 LOOKS = 64
 """So many scans, or LOOKS_BYTES of them, are looked at in one go."""
@@ -101,6 +101,7 @@ class ScanQueue:
         self._lock = threading.Lock()
         self._came = threading.Condition(self._lock)
         self._room = threading.Condition(self._lock)
+        self._waiting_for_room = 0
         self._items: deque[Message] = deque()
         self._robots: dict[str, _Robot] = {}
         self._scans = 0
@@ -134,19 +135,23 @@ class ScanQueue:
 
     def put(self, item: Message) -> list[Source]:
         """Append a message; return the source of every scan that had to go for it."""
+        source = item.source
         with self._lock:
-            name = item.sender
             gone: list[Source] = []
-            if name is not None and not item.is_scan:
-                self._wait_for_room(name, len(item.payload))
-                self._count_pose(name, item, 1)
-            self._items.append(item)
-            if name is not None and item.is_scan:
-                self._count_scan(name, item, 1)
-                self._robots[name].scans.append(item)
+            if source is not None and source.sensor is not None:
+                self._items.append(item)
+                robot = self._robot(source.robot)
+                robot.scans.append(item)
+                self._count_scan(robot, item, 1)
                 if item.cells is None:
                     self._unseen.append(item)
-                gone = self._make_room(name)
+                gone = self._make_room(source.robot)
+            else:
+                name = item.sender
+                if name is not None:
+                    self._wait_for_room(name, len(item.payload))
+                    self._count_pose(name, item, 1)
+                self._items.append(item)
             self._came.notify()
             return gone
 
@@ -159,17 +164,19 @@ class ScanQueue:
                 return None
             item = self._items.popleft()
             self._behind = time.monotonic() - item.arrival > BEHIND
-            name = item.sender
-            if item.is_scan and name is not None:
-                self._robots[name].scans.popleft()
-                self._count_scan(name, item, -1)
+            source = item.source
+            if source is not None and source.sensor is not None:
+                robot = self._robots[source.robot]
+                robot.scans.popleft()
+                self._count_scan(robot, item, -1)
                 while item.cells is None and self._unseen.popleft() is not item:
                     pass  # one that was dropped
                 if self._largest is not None and not self._past(0.5):
                     self._largest = None
-            elif name is not None:
-                self._count_pose(name, item, -1)
-                self._room.notify_all()
+            elif item.sender is not None:
+                self._count_pose(item.sender, item, -1)
+                if self._waiting_for_room:
+                    self._room.notify_all()
             return item
 
     def worked(self, item: Message, seconds: float) -> list[Source]:
@@ -210,13 +217,16 @@ class ScanQueue:
         return bool(self._items)
 
     def _wait_for_room(self, name: str, length: int) -> None:
-        def there_is() -> bool:
-            full = self._poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
-            too_large = self._poses > 0 and self._pose_size + length > self._max_pose_bytes
-            return self._closed or not (full or too_large)
+        if not self._has_room(name, length):
+            self._waiting_for_room += 1
+            self._room.wait_for(lambda: self._has_room(name, length))
+            self._waiting_for_room -= 1
 
-        if not there_is():
-            self._room.wait_for(there_is)
+    def _has_room(self, name: str, length: int) -> bool:
+        """Whether a pose of this length may be put."""
+        full = self._poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
+        too_large = self._poses > 0 and self._pose_size + length > self._max_pose_bytes
+        return self._closed or not (full or too_large)
 
     def _robot(self, name: str) -> _Robot:
         robot = self._robots.get(name)
@@ -238,14 +248,14 @@ class ScanQueue:
         self._poses += sign
         self._pose_size += sign * len(item.payload)
 
-    def _count_scan(self, name: str, item: Message, sign: int) -> None:
-        robot = self._robot(name)
+    def _count_scan(self, robot: _Robot, item: Message, sign: int) -> None:
         if item.cells is not None:
             robot.cells += sign * item.cells
             self._work += sign * item.cells * robot.rate.value
-        robot.size += sign * len(item.payload)
+        size = sign * len(item.payload)
+        robot.size += size
         self._scans += sign
-        self._size += sign * len(item.payload)
+        self._size += size
         if sign < 0 and not robot.scans:  # else what is lost in rounding would add up
             robot.cells = 0.0
         if not self._scans:
@@ -298,8 +308,9 @@ class ScanQueue:
             if self._largest is None:
                 self._largest = Largest(self._share, self._robots)
             loser = self._largest.name()
-            item = self._robots[loser].scans.popleft()
-            self._count_scan(loser, item, -1)
+            robot = self._robots[loser]
+            item = robot.scans.popleft()
+            self._count_scan(robot, item, -1)
             item.dropped, item.payload = True, b""
             assert item.source is not None
             gone.append(item.source)

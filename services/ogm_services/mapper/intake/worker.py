@@ -3,9 +3,9 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, wait
-from contextlib import contextmanager
+from functools import partial
 
 from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
@@ -95,8 +95,7 @@ class Worker:
                 now = item.arrival
             if now - looked >= LOOK_PERIOD:
                 looked = now
-                with self._surviving("a look for silent robots"):
-                    self._placer.expire(now)
+                self._survive("a look for silent robots", partial(self._placer.expire, now))
             if item is not None:
                 self._handle(item)
 
@@ -112,22 +111,21 @@ class Worker:
 
     def _work_on(self, item: Message) -> None:
         if item.command is not None:
-            with self._surviving("a command"):
-                item.command()
+            self._survive("a command", item.command)
         elif item.source is not None:
             robot, sensor = item.source
-            with self._surviving(f"a message of {robot}/{sensor or 'pose'}"):
-                self._receipts.heard(robot, item.arrival)
+            try:
                 if sensor is None:
                     self._take_pose(robot, item)
                 else:
                     self._take_scan(robot, sensor, item)
+            except Exception:  # noqa: BLE001 (logged with its traceback)
+                self._bugs.failure(f"a message of {robot}/{sensor or 'pose'}")
 
-    @contextmanager
-    def _surviving(self, what: str) -> Iterator[None]:
-        """Log an error that nobody meant, a bug of ours: it harms what is done inside, not the map."""
+    def _survive(self, what: str, do: Callable[[], None]) -> None:
+        """Log an error that nobody meant, a bug of ours: it harms what was done, not the map."""
         try:
-            yield
+            do()
         except Exception:  # noqa: BLE001 (logged with its traceback)
             self._bugs.failure(what)
 

@@ -26,6 +26,9 @@ RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""
 RECENT_BYTES = 64 * MEBIBYTE
 """What they hold at most: of very long scans there are fewer."""
+LOOK_PERIOD = 0.05
+"""How old a figure of the memory that is left may be, s, while much is."""
+_GOOD_PART = 8
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
 PATIENCE = 3.0
@@ -75,6 +78,8 @@ class LiveMap:
         self._view: TileView | None = None
         self._copied = 0
         self._state = self._told()
+        self._looked = -math.inf, 0
+        """When it was added up what the map may hold, s, and what that is, bytes."""
         self._known_cells = _Figure()
         self._quality = _Figure()
         self._stopping = threading.Event()
@@ -207,10 +212,19 @@ class LiveMap:
         return figures
 
     def _allowed(self, memory: MemoryUse) -> int:
-        """Bytes that the map may hold now, beside all else and the copy of it that readers get."""
-        copies = self._copies_bytes()
-        left = memory.left() + self._state.nbytes + copies
-        return min(left - copies, left * 4 // 9)  # a new copy takes up to a quarter more than its tiles
+        """Bytes that the map may hold now, beside all else and the copy of it that readers get.
+
+        While a good part of all memory is left to it, this is added up a few times a second only.
+        """
+        looked, allowed = self._looked
+        now = time.monotonic()
+        if now - looked > LOOK_PERIOD or allowed - self._state.nbytes < memory.limit // _GOOD_PART:
+            copies = self._copies_bytes()
+            left = memory.left() + self._state.nbytes + copies
+            # A new copy takes up to a quarter more than its tiles.
+            allowed = min(left - copies, left * 4 // 9)
+            self._looked = now, allowed
+        return allowed
 
     def _reason_of(self, refusal: NoRoom) -> LimitReached:
         """A refusal that names the limit which was reached."""

@@ -1,10 +1,13 @@
 """Measurements of a mapper as things happen: how long scans and requests take, and how many there are."""
 
 import time
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
 
 from prometheus_client import Counter, Histogram
-from prometheus_client.metrics_core import GaugeMetricFamily, Metric
+from prometheus_client.metrics_core import GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.utils import floatToGoString
 
 from ogm_services.mapper.serving.http_connection import CLOSED_FOR
 
@@ -13,22 +16,42 @@ INTEGRATION_BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02
 REQUEST_BUCKETS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 
 
+class Durations:
+    """Histogram of what happens at every scan: one thread notes it, without a lock; any thread reads it.
+
+    prometheus_client's own takes four times as long to note a value.
+    """
+
+    def __init__(self, name: str, text: str, buckets: Sequence[float]) -> None:
+        """`buckets`: upper bounds, s, rising."""
+        self._name, self._text, self._buckets = name, text, buckets
+        self._counts = [0] * (len(buckets) + 1)
+        self._sum = 0.0
+
+    def observe(self, seconds: float) -> None:
+        """Note how long it took."""
+        self._counts[bisect_left(self._buckets, seconds)] += 1
+        self._sum += seconds
+
+    def collect(self) -> Iterator[Metric]:
+        """The histogram as it is now."""
+        bounds = (*map(floatToGoString, self._buckets), "+Inf")
+        counts = zip(bounds, accumulate(self._counts), strict=True)
+        yield HistogramMetricFamily(self._name, self._text, buckets=list(counts), sum_value=self._sum)
+
+
 class Measurements:
     """Counts and histograms of one mapper; any thread. No registry: nothing is shared between mappers."""
 
     def __init__(self) -> None:
         self._last_integrated: float | None = None
-        self._age = Histogram(
-            "ogm_scan_age_seconds",
-            "Time from a scan's arrival until it was in the map.",
-            buckets=AGE_BUCKETS,
-            registry=None,
+        self._age = Durations(
+            "ogm_scan_age_seconds", "Time from a scan's arrival until it was in the map.", AGE_BUCKETS
         )
-        self.integration = Histogram(
+        self.integration = Durations(
             "ogm_scan_integration_seconds",
             "Time that the map took for a scan that it has integrated.",
-            buckets=INTEGRATION_BUCKETS,
-            registry=None,
+            INTEGRATION_BUCKETS,
         )
         self._requests = Counter(
             "ogm_http_requests_total", "HTTP requests.", ["route", "method", "status"], registry=None
