@@ -1,71 +1,120 @@
 """Pose interpolation: a robot's recent poses, and its pose at a time between. Nothing is extrapolated."""
 
 import math
+from array import array
 from bisect import bisect_left
-from collections import deque
+from itertools import pairwise
+from struct import Struct
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.errors import NoPose
 from ogm_core.placing import reasons
+from ogm_core.placing.held import Held
 from ogm_core.placing.reasons import Reason
-from ogm_core.placing.rules import POSE_GAP
+from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.types import IDENTITY, Pose, Scan, Sweep, shorter_arc
 
-CAPACITY = 1024
-"""So many poses are kept at least, whatever their stamps."""
 SPAN_NS = 60_000_000_000
-"""Older poses than that are forgotten once there are more than CAPACITY."""
-MAX_KEPT = 65_536
-"""So many are kept at most."""
+"""Older poses than that are forgotten, once there are more than are kept at least."""
+POSE_BYTES = 8 + 3 * 8 + 1
+"""A stamp, x, y, theta, and whether the stamp is ambiguous."""
+_LEAST_ROOM = 16
+_new = tuple.__new__  # Pose() takes three times as long
+_write_pose = Struct("3d").pack_into
+_read_pose = Struct("3d").unpack_from
+_read_two = Struct("6d").unpack_from
 _NEAR_M = 0.01
 _NEAR_RAD = math.radians(0.5)
 
 
 class PoseHistory:
-    """The newest poses of one robot, in the order of their stamps (ns).
+    """The newest poses of one robot, in the order of their stamps (ns, below 2^63).
 
-    Between two poses more than `gap_ns` apart the robot may have been anywhere: nothing is said of that time,
-    unless the two are nearly equal. Nor is anything said by a pose whose stamp is ambiguous.
+    Between two poses more than `pose_gap` apart the robot may have been anywhere: nothing is said of that
+    time, unless the two are nearly equal. Nor is anything said by a pose whose stamp is ambiguous.
+
+    Poses lie in arrays of a fixed size, a quarter larger than is needed; the next ones take their place when
+    they are full. So what `stamps` and `poses` show stays as it is, whatever comes later.
     """
 
-    def __init__(self, gap_ns: float = POSE_GAP * 1e9) -> None:
-        self._gap_ns = gap_ns
-        self._stamps: deque[int] = deque()
-        self._poses: deque[Pose] = deque()
-        self._ambiguous: set[int] = set()
+    def __init__(self, rules: PlacingRules = DEFAULT_RULES, held: Held | None = None) -> None:
+        """`rules`: their pose_gap, and how many poses are kept. `held` counts what they take in memory."""
+        self._gap_ns = rules.pose_gap * 1e9
+        self._fewest, self._most = rules.fewest_poses, rules.most_poses
+        self._held = Held() if held is None else held
+        self._stamps = array("q")
+        self._poses = array("d")
+        """x, y, theta of each."""
+        self._ambiguous = bytearray()
+        """1 where the stamp is."""
+        self._start = self._end = 0
+        """Which part of them is kept."""
+        self._newest_pose = IDENTITY
 
     def __len__(self) -> int:
-        return len(self._stamps)
+        return self._end - self._start
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes in memory, with the room for poses to come."""
+        return len(self._stamps) * POSE_BYTES
+
+    @property
+    def stamps(self) -> memoryview:
+        """The kept stamps, int64, ns: shape (N,), read-only."""
+        return memoryview(self._stamps)[self._start : self._end].toreadonly()
+
+    @property
+    def poses(self) -> memoryview:
+        """The kept poses, float64: shape (3 N,), x and y in m and theta in rad of each, read-only."""
+        return memoryview(self._poses)[3 * self._start : 3 * self._end].toreadonly()
 
     @property
     def oldest(self) -> int | None:
         """Stamp of the oldest kept pose, ns."""
-        return self._stamps[0] if self._stamps else None
+        return self._stamps[self._start] if self._end else None
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest pose, ns."""
-        return self._stamps[-1] if self._stamps else None
+        return self._stamps[self._end - 1] if self._end else None
 
     @property
     def newest_pose(self) -> Pose:
         """The newest pose; there must be one."""
-        return self._poses[-1]
+        return self._newest_pose
 
     def append(self, stamp: int, pose: Pose) -> None:
         """Keep a pose that is later than the newest, and forget the oldest ones if there are enough."""
-        stamps = self._stamps
-        stamps.append(stamp)
-        self._poses.append(pose)
-        while len(stamps) > CAPACITY and (stamp - stamps[0] > SPAN_NS or len(stamps) > MAX_KEPT):
-            self._ambiguous.discard(stamps.popleft())
-            self._poses.popleft()
+        end, stamps, poses = self._end, self._stamps, self._poses
+        if end == len(stamps):
+            self._move()
+            end, stamps, poses = self._end, self._stamps, self._poses
+        stamps[end] = stamp
+        _write_pose(poses, 24 * end, *pose)
+        self._newest_pose = pose
+        self._end = end = end + 1
+        start, fewest = self._start, self._fewest
+        if end - start > fewest:
+            while end - start > fewest and (stamp - stamps[start] > SPAN_NS or end - start > self._most):
+                start += 1
+            self._start = start
+
+    def shorten(self) -> bool:
+        """Forget all poses but those that are kept at least; False if there are no others."""
+        if len(self) <= self._fewest:
+            return False
+        self._start = self._end - self._fewest
+        self._move()
+        return True
 
     def doubt(self, stamp: int) -> None:
         """Mark a kept stamp as ambiguous: another pose has it, too."""
-        self._ambiguous.add(stamp)
+        n = bisect_left(self._stamps, stamp, self._start, self._end)
+        if n < self._end and self._stamps[n] == stamp:
+            self._ambiguous[n] = 1
 
     def at(self, stamp: int) -> Pose:
         """Pose at `stamp`: linear in x and y, along the shortest arc in theta.
@@ -75,22 +124,22 @@ class PoseHistory:
         Raises:
             NoPose: `stamp` lies outside of what is kept, or nothing can be said of it; the text says why.
         """
-        stamps = self._stamps
-        after = bisect_left(stamps, stamp)
-        if after == len(stamps) or (after == 0 and stamps[0] != stamp):
+        stamps, end = self._stamps, self._end
+        after = bisect_left(stamps, stamp, self._start, end)
+        if after == end or (after == self._start and stamps[after] != stamp):
             raise _no_pose(reasons.BEYOND)
-        t1, p1 = stamps[after], self._poses[after]
+        t1 = stamps[after]
         if t1 == stamp:
-            if stamp in self._ambiguous:
+            if self._ambiguous[after]:
                 raise _no_pose(reasons.AMBIGUOUS)
-            return p1
-        t0, p0 = stamps[after - 1], self._poses[after - 1]
-        if (why_not := self._gap_between(t0, p0, t1, p1)) is not None:
+            return self._newest_pose if after == end - 1 else self._pose(after)
+        before = after - 1
+        if (why_not := self._gap_after(before)) is not None:
             raise _no_pose(why_not)
+        t0 = stamps[before]
+        x0, y0, theta0, x1, y1, theta1 = _read_two(self._poses, 24 * before)
         f = (stamp - t0) / (t1 - t0)
-        return Pose(
-            p0.x + f * (p1.x - p0.x), p0.y + f * (p1.y - p0.y), p0.theta + f * shorter_arc(p0.theta, p1.theta)
-        )
+        return _new(Pose, (x0 + f * (x1 - x0), y0 + f * (y1 - y0), theta0 + f * shorter_arc(theta0, theta1)))
 
     def along(self, scan: Scan) -> Sweep:
         """The sensor's poses while `scan` swept, one a beam; each as `at` gives it, with the scan's mount.
@@ -99,38 +148,54 @@ class PoseHistory:
             NoPose: one of them cannot be told.
         """
         first, last = sorted((scan.stamp, scan.end_stamp))
-        if not self._stamps or first < self._stamps[0] or last > self._stamps[-1]:
+        if not self._end or first < self._stamps[self._start] or last > self._stamps[self._end - 1]:
             raise _no_pose(reasons.BEYOND)
         middle = self.at(scan.stamp + (scan.end_stamp - scan.stamp) // 2)
         base = self._at_each(scan.stamp, np.rint(np.arange(scan.ranges.size) * scan.time_increment * 1e9))
         return Sweep(middle.compose(scan.mount), _composed(base, scan.mount))
 
-    def _gap_between(self, t0: int, p0: Pose, t1: int, p1: Pose) -> Reason | None:
-        """Why nothing is said of the time between two neighbours; None if they are joined."""
-        if self._ambiguous and not self._ambiguous.isdisjoint((t0, t1)):
+    def _pose(self, n: int) -> Pose:
+        return _new(Pose, _read_pose(self._poses, 24 * n))
+
+    def _move(self) -> None:
+        """Move what is kept into arrays with room for a quarter more."""
+        start, end = self._start, self._end
+        kept = end - start
+        more = max(kept // 4, _LEAST_ROOM)
+        before = self.nbytes
+        self._stamps = self._stamps[start:end] + array("q", bytes(8 * more))
+        self._poses = self._poses[3 * start : 3 * end] + array("d", bytes(24 * more))
+        self._ambiguous = self._ambiguous[start:end] + bytes(more)
+        self._start, self._end = 0, kept
+        self._held.add(self.nbytes - before)
+
+    def _gap_after(self, n: int) -> Reason | None:
+        """Why nothing is said of the time between a pose and the next one; None if they are joined."""
+        ambiguous, stamps = self._ambiguous, self._stamps
+        if ambiguous[n] or ambiguous[n + 1]:
             return reasons.AMBIGUOUS
-        if t1 - t0 <= self._gap_ns or nearly_equal(p0, p1):
+        between = stamps[n + 1] - stamps[n]
+        if between <= self._gap_ns or nearly_equal(self._pose(n), self._pose(n + 1)):
             return None
-        return reasons.gap(t1 - t0, self._gap_ns)
+        return reasons.gap(between, self._gap_ns)
 
     def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses, shape (N, 3), at `after` ns after `stamp`: times between the oldest and the newest pose."""
-        first = max(0, bisect_left(self._stamps, stamp + int(after.min())) - 1)
-        last = bisect_left(self._stamps, stamp + int(after.max()))
-        stamps = [self._stamps[n] for n in range(first, last + 1)]
-        poses = [self._poses[n] for n in range(first, last + 1)]
-        times = np.array([kept - stamp for kept in stamps], np.float64)
-        nodes = np.array(poses)
-        steps = np.zeros((len(poses), 3))
-        joined = np.ones(len(poses), np.bool_)  # to the next one
-        for n in range(len(poses) - 1):
-            p0, p1 = poses[n], poses[n + 1]
-            steps[n] = p1.x - p0.x, p1.y - p0.y, shorter_arc(p0.theta, p1.theta)
-            joined[n] = self._gap_between(stamps[n], p0, stamps[n + 1], p1) is None
+        kept = self._start, self._end
+        first = max(self._start, bisect_left(self._stamps, stamp + int(after.min()), *kept) - 1)
+        last = bisect_left(self._stamps, stamp + int(after.max()), *kept)
+        times = np.array([kept - stamp for kept in self._stamps[first : last + 1]], np.float64)
+        nodes = np.array(self._poses[3 * first : 3 * last + 3]).reshape(-1, 3)
+        rows = nodes.tolist()
+        steps = np.zeros(nodes.shape)
+        joined = np.ones(len(rows), np.bool_)  # to the next one
+        for n, ((x0, y0, theta0), (x1, y1, theta1)) in enumerate(pairwise(rows)):
+            steps[n] = x1 - x0, y1 - y0, shorter_arc(theta0, theta1)
+            joined[n] = self._gap_after(first + n) is None
         upper = np.searchsorted(times, after)
         lower = np.maximum(upper - 1, 0)
         met = times[upper] == after
-        sure = np.array([kept not in self._ambiguous for kept in stamps])
+        sure = np.array([not ambiguous for ambiguous in self._ambiguous[first : last + 1]])
         told = np.where(met, sure[upper], joined[lower])
         if not told.all():
             self.at(stamp + int(after[np.argmin(told)]))  # says why not

@@ -10,6 +10,7 @@ from collections import deque
 from typing import NamedTuple
 
 from ogm_core.placing import reasons
+from ogm_core.placing.held import Held
 from ogm_core.placing.pose_history import PoseHistory, nearly_equal
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import PoseNote
@@ -43,15 +44,17 @@ _BELIEVED = Verdict(True)
 class RobotPoses:
     """The history of one robot's poses, and what decides whether a pose belongs to it."""
 
-    def __init__(self, rules: PlacingRules) -> None:
+    def __init__(self, rules: PlacingRules, held: Held | None = None) -> None:
+        """`held` counts what the history takes in memory."""
         self._rules = rules
+        self._held = Held() if held is None else held
         self.owner: str | None = None
         """The run whose poses count; None before the first pose."""
         self.replaced: list[str] = []
         """Runs that owned the robot before, the one heard last at the end."""
         self.histories = 0
         """How many histories have begun."""
-        self._history = PoseHistory(rules.pose_gap * 1e9)
+        self._history = PoseHistory(rules, self._held)
         self._provisional: tuple[int, Pose] | None = None
         """A pose where no robot gets from the one before it, until the next one tells which was wrong."""
         self._doubted = False
@@ -159,7 +162,8 @@ class RobotPoses:
 
     def _begin(self, message: PoseStamped, why: str, *, keep: bool = False) -> Verdict:
         """Begin a new history with a pose; `keep`: with the provisional one before it."""
-        self._history = PoseHistory(self._rules.pose_gap * 1e9)
+        self._held.add(-self._history.nbytes)
+        self._history = PoseHistory(self._rules, self._held)
         if keep and self._provisional is not None:
             self._history.append(*self._provisional)
             if self._doubted:

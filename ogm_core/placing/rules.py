@@ -7,6 +7,10 @@ from ogm_core.types import Pose, shorter_arc
 
 POSE_GAP = 0.5
 """Poses farther apart than that, s, say nothing about the time between them, unless told otherwise."""
+FEWEST_POSES = 1024
+"""So many poses of a robot are kept at least, whatever their stamps."""
+MOST_POSES = 65_536
+"""So many are kept at most."""
 JITTER_NS = 50_000_000
 """A stamp may lie so far before an earlier message's without that the clock went back."""
 WAITING_NS = 60_000_000_000
@@ -31,12 +35,15 @@ class PlacingRules:
     `pose_gap`: poses farther apart say nothing about the time between, s, unless they are nearly equal.
     `pose_wait`: how long a scan waits for its pose, and how far its stamp may be ahead of the poses, s.
     No robot drives faster than `max_speed`, m/s, or turns faster than `max_turn_rate`, rad/s; inf: no limit.
+    Of a robot `fewest_poses` are kept at least, and `most_poses` at most.
     """
 
     pose_gap: float = POSE_GAP
     pose_wait: float = 2.0
     max_speed: float = 20.0
     max_turn_rate: float = 10.0
+    fewest_poses: int = FEWEST_POSES
+    most_poses: int = MOST_POSES
 
     def reachable(self, dt_ns: int, start: Pose, end: Pose) -> bool:
         """Whether one gets from one pose to the other in `dt_ns` > 0; 5 cm and 0.1 rad are always free."""

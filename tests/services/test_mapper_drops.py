@@ -6,8 +6,7 @@ import pytest
 
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
-from ogm_core.placing.pose_history import CAPACITY, MAX_KEPT
-from ogm_core.placing.rules import MAX_WAITING
+from ogm_core.placing.rules import FEWEST_POSES, MAX_WAITING, MOST_POSES
 from ogm_core.status import PoseCounts, SourceStatus
 from ogm_core.types import Pose, PoseStamped
 
@@ -43,11 +42,11 @@ def test_poses_of_60_s_are_kept():
 
 def test_1024_poses_are_kept_at_least_and_65536_at_most():
     slow, fast = Desk(pose_gap=1.0), Desk()
-    for k in range(CAPACITY):
+    for k in range(FEWEST_POSES):
         slow.pose(1000 * k)
-    slow.scan(0, seq=1, run="a").pose(1000 * CAPACITY).scan(0, seq=0, run="a")
+    slow.scan(0, seq=1, run="a").pose(1000 * FEWEST_POSES).scan(0, seq=0, run="a")
     assert (slow.order, slow.dropped) == ([1], {"stale": 1})
-    for k in range(MAX_KEPT + 1):
+    for k in range(MOST_POSES + 1):
         fast.placer.add_pose("r", PoseStamped(T0 + k, Pose(0, 0, 0)))
     fast.scan(0).scan(1e-6)
     assert (fast.order, fast.dropped) == ([1], {"stale": 1})
