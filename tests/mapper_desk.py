@@ -1,6 +1,7 @@
 """A scan placer whose calls to its sink are recorded, and whose receipts are checked at every message."""
 
 import logging
+import math
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Sink:
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None, limits=NO_LIMITS, stopping=lambda: False, **rules):
+    def __init__(self, sink=None, limits=NO_LIMITS, stopping=lambda: False, robots_limit=math.inf, **rules):
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.log = LimitedLog(logging.getLogger(__name__))
@@ -55,6 +56,7 @@ class Desk:
             integrated=self.arrivals.append,
             limits=limits,
             stopping=stopping,
+            robots_limit=robots_limit,
         )
         self._tags = {}
         self.now = 0.0

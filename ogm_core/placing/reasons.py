@@ -89,6 +89,16 @@ def no_room(share: float) -> Reason:
     )
 
 
+def holds_the_most(share: float, what: str) -> Reason:
+    """What robots hold is too much, and one of them holds the most of it."""
+    return Reason(
+        "holds the most",
+        f"poses, runs and seqs of all robots hold their share of memory, {share / 1024**2:.3g} MiB, those of "
+        f"this robot the most of it: {what}. Do its stamps rise by 60 s a minute, and its seqs by one a "
+        "message?",
+    )
+
+
 def too_many_robots(robot: str) -> Reason:
     """A robot is one too many."""
     return Reason(

@@ -1,23 +1,22 @@
 """Pose lookup and order of scans, as tf's message filter does: from messages to the map."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import islice
 from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
+from ogm_core.placing.held import Held
 from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
+from ogm_core.placing.robot import Robot
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
 from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
-from ogm_core.placing.waiting import NO_LIMITS, Held, Waiting, WaitingLimits, WaitingScans
+from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits, WaitingScans
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
-
-MAX_GONE = 64
-"""So many runs that are gone are remembered of a robot."""
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
@@ -35,19 +34,6 @@ class ScanSink(Protocol):
         `sweep`: the sensor's pose at every beam, where beams were taken one after the other.
         """
         ...
-
-
-@dataclass(slots=True)
-class _Robot:
-    """All that decides where the scans of one robot go."""
-
-    poses: RobotPoses
-    waiting: WaitingScans
-    """Until a pose at or after their last beam arrives."""
-    sources: dict[str, Source] = field(default_factory=dict)
-    pose_heard: float = 0.0
-    gone: dict[str, None] = field(default_factory=dict)
-    """Runs whose liveliness token was there and is no more, the last one at the end."""
 
 
 class ScanPlacer:
@@ -70,10 +56,12 @@ class ScanPlacer:
         integrated: Callable[[float], None] = lambda _: None,
         limits: WaitingLimits = NO_LIMITS,
         stopping: Callable[[], bool] = lambda: False,
+        robots_limit: float = math.inf,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
         `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
+        `robots_limit`: bytes that poses, seqs and runs of all robots may hold.
         """
         self._sink = sink
         self._integrated = integrated
@@ -81,16 +69,23 @@ class ScanPlacer:
         self._complain = complain
         self._rules = rules
         self._hints = hints or Hints()
-        self._robots: dict[str, _Robot] = {}
+        self._robots: dict[str, Robot] = {}
         self._messages = 0
-        self._held = Held()
+        self._waiting = Held()
         self._limits = limits
+        self._kept = Held()
+        self._robots_limit = self._may_keep = robots_limit
         self._stopping = stopping
 
     @property
     def waiting_bytes(self) -> int:
         """What scans hold that wait for poses. Any thread."""
-        return self._held.nbytes
+        return self._waiting.nbytes
+
+    @property
+    def robots_bytes(self) -> int:
+        """What the poses of all robots, and the seqs and runs of their scans, hold. Any thread."""
+        return self._kept.nbytes
 
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
@@ -110,6 +105,8 @@ class ScanPlacer:
         if not verdict.taken:
             return
         robot.pose_heard = now
+        if self._kept.nbytes > self._may_keep:
+            self._lighten()
         if verdict.began is not None:
             self._begin(name, robot, verdict)
         if poses.history.newest == message.stamp:
@@ -131,7 +128,7 @@ class ScanPlacer:
             if len(robot.sources) >= MAX_SENSORS:
                 self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
                 return
-            source = robot.sources[sensor] = Source(f"{name}/{sensor}")
+            source = robot.sources[sensor] = Source(f"{name}/{sensor}", robot.held)
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         for hint in self._hints.look(source.name, scan):
             self._hint(name, sensor, hint)
@@ -141,17 +138,17 @@ class ScanPlacer:
             )
             return
         if scan.pose is not None:
-            source.number(scan)
+            self._number(source, scan)
             self._receipts.located(name, scan.stamp, scan.pose)
             self._place(name, robot, sensor, scan, now)
             return
         owner = self._replaced_by(robot, source, scan.run)
         if owner is not None:
-            source.number(scan)
+            self._number(source, scan)
             self._drop(name, sensor, "superseded", reasons.superseded_scan(scan.run, owner))
             return
         back = source.take(scan, self._messages, robot.poses.histories)
-        source.number(scan)
+        self._number(source, scan)
         if back:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
@@ -178,9 +175,7 @@ class ScanPlacer:
         """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
         robot = self._robots.get(name)
         if robot is not None:
-            robot.gone[run] = None
-            if len(robot.gone) > MAX_GONE:
-                del robot.gone[next(iter(robot.gone))]
+            robot.note_gone(run)
         self._receipts.robot_alive(name, run, False, now)
 
     def expire(self, now: float) -> None:
@@ -203,6 +198,8 @@ class ScanPlacer:
             self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
         if self._receipts.forget(name, now) and robot is not None:
             del self._robots[name]
+            robot.held.clear()
+            self._may_keep = self._robots_limit
             for source in robot.sources.values():
                 self._hints.forget(source.name)
 
@@ -211,22 +208,30 @@ class ScanPlacer:
         for name, robot in self._robots.items():
             self._give_up(name, robot, self._why_none(name, robot, reasons.LOG_ENDED))
 
-    def _why_none(self, name: str, robot: _Robot, else_why: Reason) -> Reason:
+    def _why_none(self, name: str, robot: Robot, else_why: Reason) -> Reason:
         """Why no pose has come for a scan: maybe because none ever did."""
         if robot.poses.owner is not None:
             return else_why
         others = (other for other, known in self._robots.items() if known.poses.owner is not None)
         return reasons.no_pose_ever(name, list(islice(others, 5)))
 
-    def _robot(self, name: str, now: float) -> _Robot | None:
+    def _robot(self, name: str, now: float) -> Robot | None:
         """What is known of a robot; None if it is one too many."""
         robot = self._robots.get(name)
         if robot is None and self._receipts.admits(name, now):
-            robot = self._robots[name] = _Robot(RobotPoses(self._rules), WaitingScans(self._held))
+            held = Held(self._kept)
+            robot = Robot(held, RobotPoses(self._rules, held), WaitingScans(self._waiting))
+            self._robots[name] = robot
         return robot
 
+    def _number(self, source: Source, scan: Scan) -> None:
+        """Note the seq of a scan, which may make its robot hold more."""
+        source.number(scan)
+        if self._kept.nbytes > self._may_keep:
+            self._lighten()
+
     @staticmethod
-    def _replaced_by(robot: _Robot, source: Source, run: str) -> str | None:
+    def _replaced_by(robot: Robot, source: Source, run: str) -> str | None:
         """The run that has replaced a scan's run as its robot's or its source's; None if none has."""
         if run in robot.poses.replaced:
             return robot.poses.owner
@@ -234,7 +239,7 @@ class ScanPlacer:
             return source.run
         return None
 
-    def _begin(self, name: str, robot: _Robot, verdict: Verdict) -> None:
+    def _begin(self, name: str, robot: Robot, verdict: Verdict) -> None:
         """Drop what waits for poses of the history that has ended."""
         owner, sources = robot.poses.owner, robot.sources
 
@@ -248,7 +253,7 @@ class ScanPlacer:
         for source in sources.values():
             source.step_at = None
 
-    def _look_again(self, name: str, robot: _Robot) -> None:
+    def _look_again(self, name: str, robot: Robot) -> None:
         """Try every scan that waits, in order of arrival."""
         bugs = []
         for item in robot.waiting.take():
@@ -262,7 +267,7 @@ class ScanPlacer:
         if bugs:
             raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
 
-    def _try(self, name: str, robot: _Robot, item: Waiting) -> None:
+    def _try(self, name: str, robot: Robot, item: Waiting) -> None:
         """Place a scan that is ready, drop one that will never be, let the others wait."""
         scan, newest, covered = item.scan, robot.poses.newest, robot.poses.history.newest
         if newest is None or covered is None:
@@ -275,7 +280,7 @@ class ScanPlacer:
         else:
             robot.waiting.append(item)
 
-    def _limit_waiting(self, name: str, robot: _Robot, sensor: str) -> None:
+    def _limit_waiting(self, name: str, robot: Robot, sensor: str) -> None:
         """Give up those scans of a sensor that wait while much newer ones do, or too many."""
         mine = [item for item in robot.waiting if item.sensor == sensor]
         newest = max(item.scan.stamp for item in mine)
@@ -293,25 +298,38 @@ class ScanPlacer:
         stamps = [item.scan.stamp for item in robot.waiting if item.sensor == sensor]
         robot.sources[sensor].waiting = len(stamps), min(stamps), max(stamps)
 
-    def _make_room(self, name: str, robot: _Robot) -> None:
+    def _make_room(self, name: str, robot: Robot) -> None:
         """Give up the oldest scans of a robot past its limit, then of the one that holds the most bytes."""
         limits = self._limits
         while robot.waiting.cells > limits.cells and len(robot.waiting) > 1:
             sensor = robot.waiting.take_first().sensor
             self._drop(name, sensor, "no_pose", reasons.too_much_waits(limits.cells))
-        while self._held.nbytes > limits.nbytes:
+        while self._waiting.nbytes > limits.nbytes:
             name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
             sensor = robot.waiting.take_first().sensor
             self._drop(name, sensor, "no_pose", reasons.no_room(limits.nbytes))
 
+    def _lighten(self) -> None:
+        """Have the robot that holds the most let go of what it can do without, till all hold their share.
+
+        What it keeps in any case is little: where it can let go of nothing, no other one holds much.
+        """
+        while self._kept.nbytes > self._may_keep:
+            name, robot = max(self._robots.items(), key=lambda entry: entry[1].held.nbytes)
+            what = robot.lighten()
+            if not what:  # nobody looks again before they hold more
+                self._may_keep = self._kept.nbytes
+                return
+            self._complain(name, *reasons.holds_the_most(self._robots_limit, what))
+
     def _give_up(
-        self, name: str, robot: _Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True
+        self, name: str, robot: Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True
     ) -> None:
         """Drop those of the waiting scans that `which` chooses."""
         for item in robot.waiting.take(which):
             self._drop(name, item.sensor, "no_pose", why)
 
-    def _place(self, name: str, robot: _Robot, sensor: str, scan: Scan, handed: float) -> None:
+    def _place(self, name: str, robot: Robot, sensor: str, scan: Scan, handed: float) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
         try:
             base, sweep = self._pose_of(robot, scan)
@@ -329,7 +347,7 @@ class ScanPlacer:
                 self._hint(name, sensor, hint)
 
     @staticmethod
-    def _pose_of(robot: _Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
+    def _pose_of(robot: Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
         """Base pose of a scan whose poses have all arrived; sensor poses of its beams if they differ in time.
 
         Raises:

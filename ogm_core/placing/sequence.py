@@ -1,6 +1,9 @@
 """Sequence numbers of the messages of one run: which were seen already."""
 
+from array import array
 from bisect import bisect_right
+
+from ogm_core.placing.held import Held
 
 MAX_STEP = 1_000_000
 """A seq farther above the last is no gap: it may be a wrong one."""
@@ -8,16 +11,21 @@ STRAYS_IN_A_ROW = 5
 """So many of them in a row, rising, and the numbering goes on from there."""
 MAX_SPANS = 1024
 """Gaps between the seqs seen are remembered up to this many; what comes for an older one is called seen."""
+SPAN_BYTES = 16
 
 
 class Sequence:
-    """The seqs of one run that were seen, as spans without a gap, and the last one."""
+    """The seqs (below 2^63) of one run that were seen, as spans without a gap, and the last one."""
 
-    def __init__(self) -> None:
+    __slots__ = ("_ends", "_held", "_starts", "_strays", "last")
+
+    def __init__(self, held: Held | None = None) -> None:
+        """`held` counts what its spans take in memory."""
+        self._held = Held() if held is None else held
         self.last: int | None = None
         """The largest seq, but for strays; None before the first."""
-        self._starts: list[int] = []
-        self._ends: list[int] = []
+        self._starts = array("q")
+        self._ends = array("q")
         """The first and the last seq of each span, rising."""
         self._strays: list[int] = []
 
@@ -25,6 +33,11 @@ class Sequence:
         """Whether a seq was seen."""
         at = bisect_right(self._starts, seq) - 1
         return at >= 0 and seq <= self._ends[at]
+
+    @property
+    def nbytes(self) -> int:
+        """What its spans take in memory."""
+        return len(self._starts) * SPAN_BYTES
 
     def is_above(self, seq: int) -> bool:
         """Whether a seq is above the last one, as every seq is that stays 0, and the first of a run."""
@@ -46,15 +59,23 @@ class Sequence:
             at += 1
             self._starts.insert(at, seq)
             self._ends.insert(at, seq)
+            self._held.add(SPAN_BYTES)
         if at + 1 < len(self._starts) and self._starts[at + 1] == seq + 1:
             self._join(at)
         if len(self._starts) > MAX_SPANS:
             self._join(0)
 
+    def close_gaps(self) -> None:
+        """Take every seq between the first and the last for seen."""
+        self._held.add(-self.nbytes)
+        self._starts, self._ends = self._starts[:1], self._ends[-1:]
+        self._held.add(self.nbytes)
+
     def _join(self, at: int) -> None:
         """Make one span of a span and the next one."""
         del self._starts[at + 1]
         del self._ends[at]
+        self._held.add(-SPAN_BYTES)
 
     def _note_stray(self, seq: int) -> None:
         if self._strays and seq <= self._strays[-1]:
@@ -62,7 +83,8 @@ class Sequence:
         self._strays.append(seq)
         if len(self._strays) == STRAYS_IN_A_ROW:
             strays, self._strays = self._strays, []
-            self._starts, self._ends, self.last = [], [], None
+            self._held.add(-self.nbytes)
+            self._starts, self._ends, self.last = array("q"), array("q"), None
             for stray in strays:
                 self.last = stray  # however far apart they are
                 self.note(stray)

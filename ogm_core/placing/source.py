@@ -1,5 +1,6 @@
 """Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
 
+from ogm_core.placing.held import Held
 from ogm_core.placing.rules import JITTER_NS, MAX_WAITING, WAITING_NS, remember
 from ogm_core.placing.sequence import Sequence
 from ogm_core.types import Scan
@@ -8,6 +9,8 @@ MAX_RUNS = 64
 """Runs whose seqs are remembered; the one heard longest ago is forgotten."""
 REPEATS_IN_A_ROW = 10
 """So many duplicates whose stamps rise are new scans under old numbers."""
+RUN_BYTES = 512
+"""What a run takes besides the spans of its seqs, about: its name, its place, empty spans."""
 
 
 class Source:
@@ -17,7 +20,9 @@ class Source:
     time they are of.
     """
 
-    def __init__(self, name: str = "") -> None:
+    def __init__(self, name: str = "", held: Held | None = None) -> None:
+        """`held` counts what runs and their seqs take in memory."""
+        self._held = Held() if held is None else held
         self.name = name
         """`<robot>/<sensor>`."""
         self.holds = False
@@ -66,13 +71,28 @@ class Source:
         self._repeats = 0
         run, sequence = scan.run, self._runs.get(scan.run)
         if sequence is None or run != self._heard:
+            if sequence is None:
+                sequence = Sequence(self._held)
+                self._held.add(RUN_BYTES)
             self._runs.pop(run, None)
-            self._runs[run] = sequence = sequence or Sequence()
+            self._runs[run] = sequence
             self._heard = run
             if len(self._runs) > MAX_RUNS:
-                del self._runs[next(iter(self._runs))]
+                self._forget_first()
         if run != "":
             sequence.note(scan.seq)
+
+    def forget_most(self) -> None:
+        """Forget all runs but the one heard last, and of that one which seqs before the last are missing."""
+        while len(self._runs) > 1:
+            self._forget_first()
+        for sequence in self._runs.values():
+            sequence.close_gaps()
+
+    def _forget_first(self) -> None:
+        """Forget the run that was heard longest ago."""
+        sequence = self._runs.pop(next(iter(self._runs)))
+        self._held.add(-RUN_BYTES - sequence.nbytes)
 
     def take(self, scan: Scan, number: int, histories: int) -> int:
         """Note a scan that its robot's poses are to place; by how many ns its clock went back, else 0.

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from ogm_core.placing.held import Held
 from ogm_core.types import Scan
 
 
@@ -41,20 +42,12 @@ class Waiting:
         return self.scan.nbytes
 
 
-@dataclass(slots=True)
-class Held:
-    """Bytes that the waiting scans of all robots hold together."""
-
-    nbytes: int = 0
-
-
 class WaitingScans:
     """Those of one robot. Its bytes are counted here, and in what all robots hold; its cells here."""
 
-    def __init__(self, held: Held) -> None:
-        self._all = held
+    def __init__(self, of_all: Held) -> None:
+        self._held = Held(of_all)
         self._items: list[Waiting] = []
-        self.nbytes = 0
         self.cells = 0.0
 
     def __len__(self) -> int:
@@ -62,6 +55,11 @@ class WaitingScans:
 
     def __iter__(self) -> Iterator[Waiting]:
         return iter(self._items)
+
+    @property
+    def nbytes(self) -> int:
+        """What they hold."""
+        return self._held.nbytes
 
     @property
     def first(self) -> Waiting:
@@ -94,9 +92,7 @@ class WaitingScans:
         return item
 
     def _count(self, sign: int, items: list[Waiting]) -> None:
-        more = sign * sum(item.nbytes for item in items)
-        self.nbytes += more
-        self._all.nbytes += more
+        self._held.add(sign * sum(item.nbytes for item in items))
         self.cells += sign * sum(item.cells for item in items)
         if not self._items:  # else what is lost in rounding would add up
             self.cells = 0.0

@@ -13,13 +13,17 @@ from random import Random
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
+from ogm_core.types import IDENTITY, PoseStamped
 from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.messages import encode_pose
 from tests.soak.bad_messages import GOOD_BUT_ODD, MESSAGES, REQUESTS, answered
-from tests.soak.robots import messages
+from tests.soak.robots import T0, messages
 
 STRANGER = "stranger"
 NAMES_A_TURN = 10
 """Robots that nobody has heard of before, in every turn of the stranger."""
+POSES_A_TURN = 1000
+"""Poses under a name of its own, 1 ns apart: all of them are kept."""
 
 
 class Robot:
@@ -74,6 +78,10 @@ class Stranger:
             name = f"nobody-{self._rng.getrandbits(60):x}"
             self._session.put(f"{robots}/{name}/scan/laser", messages("honest-0", 0)[1][1])
             self.sent["a robot nobody has heard of"] += 1
+        for n in range(POSES_A_TURN):
+            here = PoseStamped(T0 + self._turns * POSES_A_TURN + n, IDENTITY)
+            self._session.put(f"{robots}/mallory-poses/pose", encode_pose(here))
+        self.sent["a pose 1 ns after the last"] += POSES_A_TURN
         self._session.put(f"{robots}/mallory/oops", b"x")
         self._session.delete(f"{robots}/mallory/pose")
         self.sent["no pose, and no scan"] += 2

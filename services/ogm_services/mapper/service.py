@@ -70,6 +70,8 @@ COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
 WAITING_BYTES = 256 * MEBIBYTE
 """What scans may hold that wait for poses, of all robots."""
+ROBOTS_BYTES = 256 * MEBIBYTE
+"""What robots' poses, and the seqs and runs of their scans, may hold: at 50,000 poses a second half of it."""
 STOP_TIME = 10.0
 """How long a mapper may take to stop, s."""
 WORKER_TIME = 2.0
@@ -180,7 +182,7 @@ class MapperService:
         complain = LimitedLog(log).of_kind
         self._metrics = Metrics(partial(queue_metrics, queue), partial(memory_metrics, self.memory))
         measured = self._metrics.measurements
-        share = self.memory.share(WAITING_BYTES)
+        share, robots_share = map(self.memory.share, (WAITING_BYTES, ROBOTS_BYTES))
         placer = ScanPlacer(
             *(
                 TimedSink(self.live_map, measured.integration.observe),
@@ -192,9 +194,11 @@ class MapperService:
             integrated=measured.scan_integrated,
             limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),
             stopping=lambda: queue.closed,
+            robots_limit=robots_share,
         )
         self.memory.add("queue", lambda: queue.bytes, queue.max_bytes)
         self.memory.add("waiting", lambda: placer.waiting_bytes, share)
+        self.memory.add("robots", lambda: placer.robots_bytes, robots_share)
         self._queue, self._receipts, self._placer = queue, receipts, placer
         self._overload = Overload(queue, receipts)
         self._worker = Worker(
