@@ -3,6 +3,7 @@
 import json
 import logging
 import threading
+import time
 from contextlib import ExitStack, closing
 
 import pytest
@@ -10,6 +11,7 @@ import zenoh
 
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
 from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.serving import other_mappers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.other_mappers import AlreadyMapped, OtherMappers
 
@@ -89,7 +91,7 @@ def test_peers_that_nobody_stands_between_come_to_one_end_as_well(listener, join
 
 
 @pytest.mark.parametrize("first", [LOW, HIGH])
-def test_while_both_start_the_lower_run_stays_whoever_came_first(mapper, first):
+def test_while_both_start_the_lower_run_stays_whoever_came_first(mapper, first, in_background):
     early, late = mapper(first), mapper(HIGH if first == LOW else LOW)
     early.claim()
     if first == LOW:
@@ -98,9 +100,10 @@ def test_while_both_start_the_lower_run_stays_whoever_came_first(mapper, first):
         early.serve()
     else:
         late.claim()
-        late.serve()
+        takes_it = in_background(late.serve)  # it waits for the other one to give up
         with pytest.raises(AlreadyMapped, match=LOW):
             early.serve()
+        takes_it.result(30.0)
 
 
 def test_one_that_serves_stays_though_a_newcomer_has_a_lower_run(mapper, joined):
@@ -108,112 +111,6 @@ def test_one_that_serves_stays_though_a_newcomer_has_a_lower_run(mapper, joined)
     with pytest.raises(AlreadyMapped, match=HIGH):
         mapper(LOW).claim()
     assert state_of(joined(), HIGH) == "serving"
-
-
-def ask(session, run, state):
-    """What the mappers say to whoever asks them as a mapper of such a run and state does."""
-    [*session.get(f"{KEYS.alive('mapper', '*', '*')}?run={run};state={state}", timeout=10.0)]
-
-
-def test_one_that_starts_yields_to_one_that_serves_and_asks(mapper, joined):
-    """As one that was frozen does, which comes back while another is about to take its map."""
-    starting, back = mapper(LOW), joined()
-    starting.claim()
-    key = KEYS.alive("mapper", "other", HIGH)
-
-    def serve(query):
-        with query:
-            query.reply(key, json.dumps({"run": HIGH, "state": "serving"}))
-
-    _held = back.declare_queryable(key, zenoh.handlers.Callback(serve, indirect=False))
-    ask(back, HIGH, "serving")
-    assert state_of(joined(), LOW) == "yielding"
-    with pytest.raises(AlreadyMapped, match=HIGH):
-        starting.serve()
-
-
-@pytest.mark.parametrize("state", ["serving", "starting"])
-def test_an_asker_that_nobody_answers_for_stops_no_mapper_however_often_it_asks(mapper, joined, state):
-    stranger, starting, stop = joined(), mapper(HIGH), threading.Event()
-    starting.claim()
-    ask(stranger, LOW, state)
-    assert state_of(joined(), HIGH) == "yielding"
-
-    def insist():
-        while not stop.is_set():
-            ask(stranger, LOW, state)
-
-    thread = threading.Thread(target=insist)
-    thread.start()
-    try:
-        starting.serve()
-    finally:
-        stop.set()
-        thread.join()
-    assert state_of(joined(), HIGH) == "serving"
-
-
-def test_who_yields_to_one_that_ends_takes_the_map_itself(mapper, joined, eventually):
-    early, late = mapper(HIGH), mapper(LOW)
-    early.claim()
-    late.claim()
-    assert state_of(joined(), HIGH) == "yielding"
-    late.close()
-    early.serve()
-    assert state_of(joined(), HIGH) == "serving"
-
-
-def test_askers_under_ever_new_names_are_looked_for_a_few_times(mapper, joined, monkeypatch):
-    """A start ends in a line then, rather than never."""
-    stranger, starting = joined(), mapper(HIGH)
-    starting.claim()
-    others, names = starting._others, iter(range(1000))
-
-    def as_they_ask(*key):
-        yield from others(*key)
-        ask(stranger, f"{next(names):032}", "serving")
-
-    monkeypatch.setattr(starting, "_others", as_they_ask)
-    with pytest.raises(AlreadyMapped, match="0" * 30):
-        starting.serve()
-
-
-def test_nobody_yields_to_what_is_no_run(mapper, joined):
-    starting = mapper(HIGH)
-    starting.claim()
-    for asked in (
-        "",
-        "?run=;state=serving",
-        "?run=a b;state=serving",
-        "?run=0",
-        f"?run={HIGH};state=serving",
-    ):
-        [*joined().get(f"{KEYS.alive('mapper', '*', '*')}{asked}", timeout=10.0)]
-    starting.serve()
-
-
-def test_a_bare_token_stops_nobody_and_is_named(mapper, joined, eventually, caplog):
-    token = KEYS.alive("mapper", "evil", LOW)
-    _held = joined().liveliness().declare_token(token)
-    eventually(lambda: [*joined().liveliness().get(token)])
-    others = serving(mapper())
-    assert [(r.levelname, token in r.getMessage()) for r in caplog.records] == [("WARNING", True)]
-    assert others.reasons() == []
-
-
-@pytest.mark.parametrize(
-    "reply", [b"", b"\xff", b"[" * 100_000, b"[]", b'{"run": 1}', b'{"state": "asleep"}']
-)
-def test_who_answers_something_else_is_no_mapper(mapper, joined, eventually, reply):
-    key = KEYS.alive("mapper", "evil", LOW)
-
-    def answer(query):
-        with query:
-            query.reply(key, reply)
-
-    _held = joined().declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
-    eventually(lambda: [*joined().get(key, timeout=10.0)])
-    assert serving(mapper()).reasons() == []
 
 
 def served_by(session, answers):
@@ -228,8 +125,121 @@ def served_by(session, answers):
     return session.declare_queryable(f"{KEYS.root}/alive/mapper/**", handler)
 
 
+def says(run, state):
+    return json.dumps({"run": run, "state": state})
+
+
+def test_one_that_starts_gives_up_for_one_that_serves_by_now(mapper, joined):
+    """As one that was frozen does, which comes back while another is about to take its map."""
+    starting, back = mapper(LOW), joined()
+    starting.claim()
+    _held = served_by(back, [(KEYS.alive("mapper", "other", HIGH), says(HIGH, "serving"))])
+    with pytest.raises(AlreadyMapped, match=HIGH):
+        starting.serve()
+    assert state_of(joined(), LOW) == "yielding"
+
+
+def test_questions_in_a_mapper_s_name_stop_no_mapper_however_often_and_under_however_many_names(
+    mapper, joined
+):
+    """Two hundred names at least, each both as one that starts and as one that serves, and tokens of them."""
+    stranger, starting, stop, names = joined(), mapper(HIGH), threading.Event(), []
+    tokens = ExitStack()
+
+    def insist():
+        while not stop.is_set() or len(names) < 200:
+            names.append(f"{len(names):032}")
+            if len(names) < 50:
+                token = KEYS.alive("mapper", "evil", names[-1])
+                tokens.push(stranger.liveliness().declare_token(token))
+            for state in ("starting", "serving"):
+                pattern = KEYS.alive("mapper", "*", "*")
+                assert [*stranger.get(f"{pattern}?run={names[-1]};state={state}", timeout=10.0)]
+
+    starting.claim()
+    thread = threading.Thread(target=insist)
+    thread.start()
+    try:
+        starting.serve()
+    finally:
+        stop.set()
+        thread.join()
+        tokens.close()
+    assert state_of(joined(), HIGH) == "serving"
+    assert starting.reasons() == []
+
+
+def test_who_says_to_start_and_never_does_is_waited_for_and_no_longer(mapper, joined, monkeypatch):
+    monkeypatch.setattr(other_mappers, "SETTLED", 0.5)
+    looks = []
+
+    def answer(query):
+        looks.append(time.monotonic())
+        with query:
+            query.reply(KEYS.alive("mapper", "other", HIGH), says(HIGH, "starting"))
+
+    handler = zenoh.handlers.Callback(answer, indirect=False)
+    _held = joined().declare_queryable(f"{KEYS.root}/alive/mapper/**", handler)
+    others = serving(mapper(LOW))
+    assert len(looks) >= 3
+    assert others.reasons() == []
+
+
+def test_a_start_waits_for_one_that_has_looked_too_early_to_see_it(mapper, joined):
+    """Which then serves: the lower run gives up, though it was there before that one served."""
+    states = iter(["starting"] * 3)
+
+    def answer(query):
+        with query:
+            query.reply(KEYS.alive("mapper", "other", HIGH), says(HIGH, next(states, "serving")))
+
+    handler = zenoh.handlers.Callback(answer, indirect=False)
+    _held = joined().declare_queryable(f"{KEYS.root}/alive/mapper/**", handler)
+    low = mapper(LOW)
+    low.claim()
+    with pytest.raises(AlreadyMapped, match=HIGH):
+        low.serve()
+
+
+def test_one_whose_rival_ends_takes_the_map_itself(mapper, joined):
+    early, late = mapper(HIGH), mapper(LOW)
+    early.claim()
+    late.claim()
+    late.close()
+    early.serve()
+    assert state_of(joined(), HIGH) == "serving"
+
+
+def test_a_bare_token_stops_nobody_and_is_named(mapper, joined, eventually, caplog):
+    token = KEYS.alive("mapper", "evil", LOW)
+    _held = joined().liveliness().declare_token(token)
+    eventually(lambda: [*joined().liveliness().get(token)])
+    others = serving(mapper())
+    assert [(r.levelname, token in r.getMessage()) for r in caplog.records] == [("WARNING", True)]
+    assert others.reasons() == []
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        *(b"", b"\xff", b"[" * 100_000, b"[]", b'{"run": 1}', b'{"state": "serving"}'),
+        *(says(LOW, "asleep"), says(LOW, ["serving"]), says(HIGH, "serving"), says("", "serving")),
+    ],
+)
+def test_who_answers_something_else_is_no_mapper(mapper, joined, eventually, reply):
+    key = KEYS.alive("mapper", "evil", LOW)
+
+    def answer(query):
+        with query:
+            query.reply(key, reply)
+
+    _held = joined().declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+    eventually(lambda: [*joined().get(key, timeout=10.0)])
+    assert serving(mapper()).reasons() == []
+
+
 def test_strangers_in_any_number_cost_little_and_are_named_in_a_line(mapper, joined, eventually, caplog):
-    serves = json.dumps({"run": LOW, "state": "serving"})
+    serves = says(LOW, "serving")
     others = serving(mapper())
     keys = [KEYS.alive("mapper", f"evil{n:04d}", LOW) for n in range(2000)]
     _held = served_by(joined(), [(key, serves) for key in keys])
@@ -245,10 +255,10 @@ def test_strangers_in_any_number_cost_little_and_are_named_in_a_line(mapper, joi
 @pytest.mark.parametrize(
     ("key", "payload"),
     [
-        (KEYS.alive("mapper", "evil", LOW), b'{"state": "serving"' + b" " * 240 + b"}"),
-        (KEYS.alive("mapper", "e" * 65, LOW), b'{"state": "serving"}'),
-        (KEYS.alive("mapper", "evil", "r" * 65), b'{"state": "serving"}'),
-        (KEYS.alive("mapper", "\x1b[31m\nready", LOW), b'{"state": "serving"}'),
+        (KEYS.alive("mapper", "evil", LOW), says(LOW, "serving") + " " * 240),
+        (KEYS.alive("mapper", "e" * 65, LOW), says(LOW, "serving")),
+        (KEYS.alive("mapper", "evil", "r" * 65), says("r" * 65, "serving")),
+        (KEYS.alive("mapper", "\x1b[31m\nready", LOW), says(LOW, "serving")),
     ],
 )
 def test_who_answers_too_long_or_under_no_name_is_no_mapper(mapper, joined, eventually, key, payload):
@@ -277,6 +287,21 @@ def test_why_it_is_not_ready_is_one_printable_line():
     assert health.not_ready() == "a??[31mb; c"
 
 
+def test_who_has_answered_once_makes_a_mapper_unready_for_one_look(mapper, joined, eventually):
+    others, answered = serving(mapper()), []
+
+    def answer(query):
+        with query:
+            if not answered:
+                query.reply(KEYS.alive("mapper", "evil", LOW), says(LOW, "serving"))
+            answered.append(others.reasons())
+
+    handler = zenoh.handlers.Callback(answer, indirect=False)
+    _held = joined().declare_queryable(f"{KEYS.root}/alive/mapper/**", handler)
+    eventually(lambda: len(answered) >= 4)
+    assert [bool(reasons) for reasons in answered[:4]] == [False, True, False, False]
+
+
 def test_a_token_beside_one_that_serves_changes_nothing(mapper, joined, eventually, caplog):
     others, stranger, asked = serving(mapper()), joined(), []
     key = KEYS.alive("mapper", "evil", LOW)
@@ -297,7 +322,7 @@ def test_a_mapper_beside_another_is_not_ready_and_goes_on_all_the_same(start_map
 
     def serve(query):
         with query:
-            query.reply(key, json.dumps({"run": LOW, "state": "serving"}))
+            query.reply(key, says(LOW, "serving"))
 
     with start_mapper(map={"resolution": 0.5}) as mapper:
         assert mapper.http.get("/readyz").text == "ok"

@@ -1,18 +1,20 @@
 """Other mappers of the same map: at most one of them serves, and two that meet later say so.
 
 Every mapper declares a liveliness token and answers a get of that token's key, for as long as it runs: only
-who answers is a mapper. A bare token, of a stranger or of a mapper that is frozen, stops nobody.
+who answers so, with its own run, is a mapper. A bare token, of a stranger or of a mapper that is frozen,
+stops nobody; nor does a question, whoever asks.
 """
 
 import json
 import logging
 import socket
 import threading
+import time
 import uuid
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from itertools import islice
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import zenoh
 
@@ -21,8 +23,10 @@ from ogm_core.wire.keys import NAME, MapKeys
 
 ANSWERED = 5.0
 """How long another mapper may take to say what it does, s; one that is frozen is gone sooner."""
-MAX_DOUBTS = 10
-"""Askers that are not there, or yield themselves: at one more, a mapper that starts gives up."""
+SETTLED = 2 * ANSWERED
+"""How long a mapper that goes first waits for one that has looked before it was there to be seen, s."""
+SETTLING_PERIOD = 0.1
+"""How often it looks meanwhile, s."""
 LOOK_PERIOD = 1.0
 """How often a mapper that serves looks for others, s."""
 
@@ -57,9 +61,10 @@ class Other(NamedTuple):
 class OtherMappers:
     """A mapper's claim to its map, and whoever else claims it, until `close`.
 
-    Of two that start at the same time the lower run stays. Who asks says its own run and state, and who is
-    asked decides at once, under a lock: so both come to the same end, whoever asks first. Who has yielded
-    asks back before it gives up, and goes on if the asker does not answer: it was no mapper, or has ended.
+    Of two that start at the same time the lower run stays. Each can be asked before it looks, so at least one
+    of them sees the other. The higher run gives up if it sees the lower; the lower goes on looking until the
+    other has given up or serves, for that one may have looked too early to see it. What a mapper does follows
+    from what it is answered alone: questions change nothing, so that no stranger's can.
     One that serves never yields; when it finds another one that does, `rivals` names it, and the log says so,
     once.
     """
@@ -73,13 +78,9 @@ class OtherMappers:
         self._mine = keys.alive("mapper", _host_name(), self._run)
         self._period = period
         self._state: State = "starting"
-        self._deciding = threading.Lock()
-        self._yields_to = ""
-        self._doubts = 0
-        self._nobody: set[str] = set()
-        """Keys of askers that did not answer."""
         self._declared = ExitStack()
         self._stopping = threading.Event()
+        self._asking = zenoh.CancellationToken()
         self._thread: threading.Thread | None = None
         self.rivals: frozenset[str] = frozenset()
         """Keys of the other mappers that serve this map, too."""
@@ -93,23 +94,25 @@ class OtherMappers:
         asked = zenoh.handlers.Callback(self._asked, indirect=False)
         self._declared.push(self._session.declare_queryable(self._mine, asked, complete=False))
         self._declared.push(self._session.liveliness().declare_token(self._mine))
-        answering = self._look_before_serving()
+        answering = {other.key for other in self._look_before_serving()}
         tokens = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=ANSWERED)
         here = {key for key in map(self._key_of, islice(tokens, MAX_HEARD)) if key is not None}
         if bare := _named(here - answering):
             log.warning("%s: the token of a mapper that does not answer: this one starts all the same", bare)
 
     def serve(self) -> None:
-        """Take the map: from here on newcomers yield. Then go on looking for others.
+        """Take the map: from here on newcomers give up. Then go on looking for others.
 
         Raises:
             AlreadyMapped: another one has come first since `claim`.
         """
-        while self._state != "serving":
-            self._look_before_serving()  # when they claimed it, neither may have been known to the other yet
-            with self._deciding:
-                if self._state == "starting":
-                    self._state = "serving"
+        until = time.monotonic() + SETTLED
+        # When they claimed it, neither may have been known to the other yet.
+        while any(other.state == "starting" for other in self._look_before_serving()):
+            if time.monotonic() >= until:  # whenever it looks now, it sees this one
+                break
+            self._stopping.wait(SETTLING_PERIOD)
+        self._state = "serving"
         self._thread = threading.Thread(target=self._watch, name="ogm-other-mappers")
         self._thread.start()
 
@@ -119,61 +122,48 @@ class OtherMappers:
         return [f"another mapper of the map serves, too: {rivals}"] if rivals else []
 
     def close(self) -> None:
-        """Withdraw the claim, and look no more."""
+        """Withdraw the claim, and look no more: a look in hand is given up."""
         self._stopping.set()
+        self._asking.cancel()  # type: ignore[no-untyped-call]
         if self._thread is not None:
             self._thread.join()
         self._declared.close()
 
-    def _look_before_serving(self) -> set[str]:
-        """Ask who else is there, and yield if it goes first; the keys of those who answer."""
-        while True:
-            others = list(self._others())
-            for other in others:
-                if other.state in ("serving", "starting"):  # it has been asked, and does not yield
-                    raise self._already(other.key)
-            if not self._yields_to:
-                return {other.key for other in others}
-            self._ask_back()
+    def _look_before_serving(self) -> list[Other]:
+        """The others that answer; give up if one of them goes first."""
+        others = list(self._others())
+        for other in others:
+            if other.state == "serving" or (other.state == "starting" and other.run < self._run):
+                self._state = "yielding"
+                raise AlreadyMapped(
+                    f"another mapper of map {self._keys.map_name!r} is alive ({other.key}): "
+                    "stop it, or choose another name with --map"
+                )
+        return others
 
-    def _ask_back(self) -> None:
-        """Start anew if the asker that this one yields to is not there, or yields itself; else give up."""
-        asker = self._yields_to
-        states = {other.state for other in self._others(asker)}
-        if "serving" in states or "starting" in states or self._doubts >= MAX_DOUBTS:
-            raise self._already(asker)
-        self._doubts += 1
-        with self._deciding:
-            if not states:
-                self._nobody.add(asker)
-            self._state, self._yields_to = "starting", ""
+    def _others(self) -> Iterator[Other]:
+        """The other mappers that answer, MAX_OTHERS at most; others are passed over."""
+        return islice(self._answering(), MAX_OTHERS)
 
-    def _already(self, key: str) -> AlreadyMapped:
-        return AlreadyMapped(
-            f"another mapper of map {self._keys.map_name!r} is alive ({key}): "
-            "stop it, or choose another name with --map"
-        )
-
-    def _others(self, key: str | None = None) -> Iterator[Other]:
-        """The other mappers that answer, or those of a key, MAX_OTHERS at most; others are passed over."""
-        return islice(self._answering(key), MAX_OTHERS)
-
-    def _answering(self, key: str | None) -> Iterator[Other]:
+    def _answering(self) -> Iterator[Other]:
         replies = self._session.get(
-            f"{key or self._keys.alive('mapper', '*', '*')}?run={self._run};state={self._state}",
+            self._keys.alive("mapper", "*", "*"),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWERED,
+            cancellation_token=self._asking,
         )
         for reply in islice(replies, MAX_HEARD):
             key = self._key_of(reply)
             if key is None or reply.ok is None or len(reply.ok.payload) > MAX_ANSWER:
                 continue
             try:
-                state = str(json.loads(reply.ok.payload.to_bytes())["state"])
+                told = json.loads(reply.ok.payload.to_bytes())
+                run, state = told["run"], told["state"]
             except (ValueError, TypeError, KeyError, RecursionError):
                 continue
-            yield Other(key, key.rpartition("/")[2], state)
+            if run == key.rpartition("/")[2] and state in get_args(State):
+                yield Other(key, run, state)
 
     def _key_of(self, reply: zenoh.Reply) -> str | None:
         """The key of another mapper that a reply comes from; None if it is this one, or no mapper's."""
@@ -183,17 +173,9 @@ class OtherMappers:
         return key if named and key != self._mine else None
 
     def _asked(self, query: zenoh.Query) -> None:
-        """Say what this mapper does; one that starts yields to who serves, and to a lower run."""
+        """Say what this mapper does."""
         with query:
-            asker, theirs = (str(query.parameters.get(name, "")) for name in ("run", "state"))
-            with self._deciding:
-                first = theirs == "serving" or (theirs == "starting" and asker < self._run)
-                if self._state == "starting" and first and asker != self._run and NAME.fullmatch(asker):
-                    key = self._keys.alive("mapper", "*", asker)
-                    if key not in self._nobody:
-                        self._state, self._yields_to = "yielding", key
-                state = self._state
-            reply = json.dumps({"run": self._run, "state": state})
+            reply = json.dumps({"run": self._run, "state": self._state})
             query.reply(self._mine, reply, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _watch(self) -> None:
