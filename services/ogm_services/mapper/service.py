@@ -53,6 +53,7 @@ from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.replies.in_flight import MAX_IN_FLIGHT, InFlight
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.bounded_close import close_within
+from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.limited_log import LimitedLog
@@ -105,16 +106,19 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
         BadInput: the folder `out` cannot be written, or the map that it starts with is not what is needed.
         ServiceStopped: it ended by itself; the map's files are written all the same.
 
-    A mapper that does not stop within STOP_TIME ends the process, with code 1.
+    A mapper that does not stop within STOP_TIME, while it starts or later, ends the process, with code 1.
     """
     if out is not None:
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
-    service = MapperService(settings)
     version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
+    with ended_within(STOP_TIME, partial(_end_start, None)):
+        service = MapperService(settings)
     log.info("zenoh-ogm %s starts, with %s", version, changed or "its default settings")
     try:
-        with service:
+        with ExitStack() as running:
+            with ended_within(STOP_TIME, partial(_end_start, service)):
+                running.enter_context(service)
             for line in service.addresses:
                 typer.echo(line)
             service.wait()
@@ -125,6 +129,20 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
             log.info("the mapper has stopped: %s", service.totals())
         if out is not None and service.was_ready:
             _write_results(out, service)
+
+
+def _end_start(service: "MapperService | None", held_by: str) -> None:
+    """End the process in which a start does not; there is no map yet, unless it stops in order already."""
+    if service is not None and service.stopping:
+        return
+    try:
+        typer.echo(f"ogm: {_not_stopped(held_by)}", err=True)
+    finally:
+        os._exit(1)
+
+
+def _not_stopped(held_by: str) -> NotStopped:
+    return NotStopped(f"the mapper has not stopped within {STOP_TIME:g} s, so it ends as it is: {held_by}")
 
 
 def _end_as_it_is(stuck: NotStopped, out: Path | None, service: "MapperService") -> NoReturn:
@@ -247,9 +265,12 @@ class MapperService:
         held_by = close_within(STOP_TIME, self._open.close)
         if held_by is not None:
             self._worker.stop(WORKER_TIME)
-            raise NotStopped(
-                f"the mapper has not stopped within {STOP_TIME:g} s, so it ends as it is: {held_by}"
-            )
+            raise _not_stopped(held_by)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it has started, and stops."""
+        return self._stopping.is_set()
 
     @property
     def working(self) -> bool:
@@ -300,6 +321,8 @@ class MapperService:
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
         keys = MapKeys(network.map_name)
+        rest = RestOfWarmUp(self._grid_settings)
+        opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
         self._others = others = OtherMappers(session, keys)
         opening.callback(others.close)  # last of all: until then no other mapper starts
         routes = ZenohRoutes(session, keys, self.in_flight)
@@ -336,8 +359,7 @@ class MapperService:
         self._ready.set()
         opening.callback(self._watch.stop)
         self._watch.start()
-        rest = RestOfWarmUp(self._grid_settings)
-        opening.callback(rest.stop)
+        opening.callback(rest.make_way)
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:

@@ -26,19 +26,22 @@ def close_within(seconds: float, close: Callable[[], None]) -> str | None:
     thread.start()
     thread.join(seconds)
     if thread.is_alive():
-        return _what_holds(thread)
+        return what_holds(thread)
     if errors:
         raise errors[0]
     return None
 
 
-def _what_holds(thread: threading.Thread) -> str:
-    """What the thread has called, and which threads would keep the process from ending."""
-    called = [
-        frame.f_code.co_qualname
-        for frame in _from_outermost(sys._current_frames().get(thread.ident or 0))  # noqa: SLF001
-        if frame.f_globals.get("__name__") not in _BETWEEN
-    ]
+def what_holds(thread: threading.Thread) -> str:
+    """What the thread has called of ours, and which threads would keep the process from ending."""
+    frames = list(_from_outermost(sys._current_frames().get(thread.ident or 0)))  # noqa: SLF001
+    called = [frame.f_code.co_qualname for frame in frames if frame.f_globals.get("__name__") not in _BETWEEN]
+    if thread is threading.main_thread():  # it is the innermost that counts, below the whole program
+        called = [
+            frame.f_code.co_qualname
+            for frame in reversed(frames)
+            if str(frame.f_globals.get("__name__")).startswith("ogm_")
+        ]
     what = f"{called[0]} does not return" if called else "the network does not close"
     others = [
         other.name

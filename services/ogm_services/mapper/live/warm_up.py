@@ -44,7 +44,7 @@ def warm_up_rest(settings: GridSettings) -> None:
 
 
 class RestOfWarmUp:
-    """`warm_up_rest` on a thread of its own: nobody waits for it. Started once, stopped once."""
+    """`warm_up_rest` on a thread of its own: nobody waits for it. Started at most once, stopped once."""
 
     def __init__(self, settings: GridSettings) -> None:
         self._stopping = threading.Event()
@@ -54,10 +54,15 @@ class RestOfWarmUp:
         """Begin."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """End; a kernel that is being compiled is given up."""
+    def make_way(self) -> None:
+        """Let it end: a kernel that is being compiled is given up, after its pass."""
         self._stopping.set()
-        self._thread.join()
+
+    def stop(self) -> None:
+        """End it, and wait for that."""
+        self.make_way()
+        if self._thread.ident is not None:
+            self._thread.join()
 
     def _run(self, settings: GridSettings) -> None:
         try:
