@@ -159,6 +159,8 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
         ("ogm_map_bytes",): status["map_info"]["bytes"],
         ("ogm_robots",): 1,
         ("ogm_robot_alive", "r"): 0,
+        ("ogm_ready",): 1,
+        ("ogm_robot_scans_received_total", "r"): 4,
         ("ogm_robot_scans_dropped_total", "r"): 1,
         ("ogm_robot_hints", "r"): 0,
     }

@@ -55,6 +55,8 @@ def test_metrics_say_what_the_status_says():
         ("ogm_robot_alive", "map=hall", "robot=r2"): 1,
         ("ogm_robot_alive", "map=hall", "robot=r1"): 0,
         ("ogm_robot_age_seconds", "map=hall", "robot=r2"): 0.25,
+        ("ogm_robot_scans_received_total", "map=hall", "robot=r2"): 40,
+        ("ogm_robot_scans_received_total", "map=hall", "robot=r1"): 0,
         ("ogm_robot_scans_dropped_total", "map=hall", "robot=r2"): 5,
         ("ogm_robot_scans_dropped_total", "map=hall", "robot=r1"): 0,
         ("ogm_robot_hints", "map=hall", "robot=r2"): 1,
@@ -77,15 +79,16 @@ def test_the_process_is_measured():
     assert process["process_start_time_seconds"] > 1.6e9
 
 
-def test_a_robot_has_four_samples_however_many_sensors_and_reasons_it_has():
+def test_a_robot_has_five_samples_however_many_sensors_and_reasons_it_has():
     bad = SourceStatus("a", 1, 99, 0, 0, dict.fromkeys(DROP_REASONS, 3), ["range_max", "stamp"])
     robot = RobotStatus(None, None, age_s=1.0, sources={f"s{number}": bad for number in range(16)})
     status = dataclasses.replace(STATUS, robots={f"r{number}": robot for number in range(1000)})
     found = samples(Metrics().text(status))
-    assert sum("robot=r7" in key for key in found) == 4
+    assert sum("robot=r7" in key for key in found) == 5
+    assert found[("ogm_robot_scans_received_total", "map=hall", "robot=r7")] == 16 * 99
     assert found[("ogm_robot_scans_dropped_total", "map=hall", "robot=r7")] == 16 * 3 * len(DROP_REASONS)
     assert found[("ogm_robot_hints", "map=hall", "robot=r7")] == 32
-    assert len(found) < 4 * 1000 + 100
+    assert len(found) < 5 * 1000 + 100
 
 
 def test_what_others_hold_is_shown_with_the_rest():

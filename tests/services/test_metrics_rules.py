@@ -109,7 +109,12 @@ def test_a_working_mapper_keeps_the_rules(mapper):
     }
     assert held.keys() >= {"map", "queue", "waiting"}
     assert held["map"] >= mapper.status()["map_info"]["bytes"] > 0
-    assert "ogm_queue_work_limit_seconds" in text
+    kinds = dict(line.split(" ")[2:] for line in text.splitlines() if line.startswith("# TYPE "))
+    assert kinds["ogm_robot_scans_received_total"] == "counter"
+    told = ("ogm_queue_work_limit_seconds", "ogm_queue_scans", "ogm_queue_limit_scans", "ogm_ready")
+    assert [kinds[name] for name in told] == ["gauge"] * 4
+    assert mapper.http.get("/readyz").status_code == 200
+    assert re.search(r'^ogm_ready{map="[^"]*"} 1\.0$', text, re.MULTILINE)
     assert value["ogm_http_requests_total", None, "/map.png", "2xx"] == 1
     assert value["ogm_http_requests_total", None, "/map.png", "4xx"] == 1
     assert value["ogm_http_requests_total", None, "other", "4xx"] == 1

@@ -45,7 +45,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import MAX_WAITING, build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
-from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics
+from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.shares import Shares
@@ -198,7 +198,11 @@ class MapperService:
         queue = ScanQueue(limits.queue, sizes.cells, self.memory.share(MAX_BYTES))
         hints = hints_by(self.live_map.snapshot, grid.settings)
         complain = LimitedLog(log).of_kind
-        self._metrics = Metrics(partial(queue_metrics, queue), partial(memory_metrics, self.memory))
+        self._metrics = Metrics(
+            partial(queue_metrics, queue),
+            partial(memory_metrics, self.memory),
+            lambda: ready_metric(self._health),
+        )
         measured = self._metrics.measurements
         share, robots_share = map(self.memory.share, (WAITING_BYTES, ROBOTS_BYTES))
         placer = ScanPlacer(

@@ -93,7 +93,8 @@ class ScanQueue:
         """Payload that may wait: a fifth of it is room for poses, the rest for scans."""
         self._max_pose_bytes = max_bytes // 5
         self._max_scan_bytes = max_bytes - self._max_pose_bytes
-        self._max_scans = max_scans
+        self.max_scans = max_scans
+        """Scans that may wait."""
         self._cells_of = cells_of or (lambda *_: 1.0)
         self._unseen: deque[Message] = deque()
         """Waiting scans whose size nobody has looked at, and maybe dropped ones; oldest first."""
@@ -264,7 +265,7 @@ class ScanQueue:
     def _past(self, part: float) -> bool:
         """Whether more waits than this part of a bound."""
         return (
-            self._scans > part * self._max_scans
+            self._scans > part * self.max_scans
             or self._size > part * self._max_scan_bytes
             or self._work > part * MAX_WORK
         )
@@ -275,7 +276,7 @@ class ScanQueue:
         if robot is None:
             return 0.0
         size = robot.size / self._max_scan_bytes
-        return max(robot.work / MAX_WORK, size, len(robot.scans) / self._max_scans)
+        return max(robot.work / MAX_WORK, size, len(robot.scans) / self.max_scans)
 
     def _look(self) -> None:
         """Look how large some of the scans are that wait."""

@@ -1,20 +1,28 @@
-"""Metrics of a mapper's load: what waits and what is held, each with its limit."""
+"""Metrics of a mapper's load: what waits and what is held, each with its limit, and whether it is ready."""
 
 from collections.abc import Iterator
 
 from prometheus_client.metrics_core import Metric
 
 from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
+from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.metrics import gauge, gauges
 from ogm_services.runtime.memory import MemoryUse
 
 
 def queue_metrics(queue: ScanQueue) -> Iterator[Metric]:
-    """The queue before the worker: work in s of its time, and payload."""
+    """The queue before the worker: work in s of its time, payload, and scans."""
     yield gauge("ogm_queue_work_seconds", "Time that the scans that wait will take, about.", queue.work)
     yield gauge("ogm_queue_work_limit_seconds", "How much of it may wait.", MAX_WORK)
     yield gauge("ogm_queue_bytes", "Payload of the messages that wait.", queue.bytes)
     yield gauge("ogm_queue_limit_bytes", "How much of it may wait.", queue.max_bytes)
+    yield gauge("ogm_queue_scans", "Scans that wait in the queue.", queue.scans)
+    yield gauge("ogm_queue_limit_scans", "How many of them may wait.", queue.max_scans)
+
+
+def ready_metric(health: Health) -> Iterator[Metric]:
+    """What /readyz says, as a number."""
+    yield gauge("ogm_ready", "1 while the mapper should get scans, else 0.", health.not_ready() is None)
 
 
 def memory_metrics(memory: MemoryUse) -> Iterator[Metric]:

@@ -118,11 +118,15 @@ def _poses(poses: PoseCounts) -> Iterator[Metric]:
 
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
-    """Four samples a robot at most: reasons, and sensors, of which each has several, are in the status."""
+    """Five samples a robot at most: reasons, and sensors, of which each has several, are in the status."""
     alive = {name: int(robot.alive) for name, robot in robots.items()}
     yield gauges("ogm_robot_alive", "Whether the robot says that it is alive.", "robot", alive)
     ages = {name: robot.age_s for name, robot in robots.items() if robot.age_s is not None}
     yield gauges("ogm_robot_age_seconds", "Time since the robot's last message.", "robot", ages)
+    received = {
+        name: sum(source.received for source in robot.sources.values()) for name, robot in robots.items()
+    }
+    yield _counters("ogm_robot_scans_received_total", "Scans of the robot that arrived.", "robot", received)
     dropped = {
         name: sum(sum(source.dropped.values()) for source in robot.sources.values())
         for name, robot in robots.items()
