@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 
 from ogm_client.errors import CannotConnect, MapperError, NobodyAnswered
 from ogm_core.errors import BadInput, BadSetting
-from ogm_core.status import ScanCounts, encode_status
+from ogm_core.status import RobotStatus, ScanCounts, SourceStatus, encode_status
 from ogm_services.cli import app
 from ogm_services.commands import status_watch
-from ogm_services.commands.status_watch import Rates, check_period, rates_between, watch
+from ogm_services.commands.status import Rates
+from ogm_services.commands.status_watch import check_period, rates_between, watch
 from status_json import STATUS
 
 NOWHERE = "no mapper answers at tcp/there:7447, trying again"
@@ -28,7 +29,39 @@ def status(received, integrated, dropped, uptime):
 
 
 def test_rates_are_what_was_gained_by_the_mappers_own_clock():
-    assert rates_between(status(100, 90, 4, 10.0), status(150, 120, 14, 12.5)) == Rates(20.0, 12.0, 4.0)
+    assert rates_between(status(100, 90, 4, 10.0), status(150, 120, 14, 12.5)) == Rates(
+        20.0, 12.0, 4.0, {"r2/front": 0.0}
+    )
+
+
+def of_sensors(uptime, **received):
+    """A status of robot r, of which each sensor has sent so many scans."""
+    sources = {sensor: SourceStatus("a", 1, count, 0, count) for sensor, count in received.items()}
+    robots = {"r": RobotStatus(None, None, alive=True, sources=sources)}
+    return dataclasses.replace(status(sum(received.values()), 0, 0, uptime), robots=robots)
+
+
+BEFORE, AFTER = (
+    of_sensors(10.0, front=100, back=7, side=50),
+    of_sensors(12.0, front=180, back=7, side=3, new=5),
+)
+
+
+def test_each_sensor_has_a_rate_but_one_that_is_counted_from_the_start_again():
+    assert rates_between(BEFORE, AFTER).sources == {"r/front": 40.0, "r/back": 0.0, "r/new": 2.5}
+
+
+def test_the_rate_of_each_sensor_stands_beside_what_it_has_sent(seen):
+    first, second = seen([BEFORE, AFTER]).out.split("map hall")[1:]
+    table = [line.split() for line in second.splitlines() if "r/" in line or "last seq" in line]
+    assert "received   a second   integrated" in second
+    assert [line[:3] for line in table[1:]] == [
+        ["r/back", "7", "0.0"],
+        ["r/front", "180", "40.0"],
+        ["r/new", "5", "2.5"],
+        ["r/side", "3", "3"],
+    ]
+    assert "a second" not in first
 
 
 @pytest.mark.parametrize("before", [None, status(10, 9, 0, 50.0), status(200, 9, 0, 1.0)])

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 from rich import box
 from rich.table import Table
@@ -24,10 +25,23 @@ WHAT_HELPS: Mapping[str, str] = {
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"
 
 
-def status_tables(status: Status, rates: str | None = None) -> list[Table]:
+class Rates(NamedTuple):
+    """Scans a second, between two looks at one mapper; those received of each `<robot>/<sensor>`, too."""
+
+    received: float
+    integrated: float
+    dropped: float
+    sources: Mapping[str, float]
+
+    def in_words(self) -> str:
+        """As a row of the table."""
+        return f"{self.received:.1f} received, {self.integrated:.1f} integrated, {self.dropped:.1f} dropped"
+
+
+def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
     """The mapper's status for the eye: the map, a row for every robot and sensor, and what went wrong.
 
-    `rates`: what happens a second, in words, if that is known.
+    `rates`: what happens a second, if that is known.
     """
     scans, info = status.scans, status.map_info
     whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status.map}", title_justify="left")
@@ -38,7 +52,7 @@ def status_tables(status: Status, rates: str | None = None) -> list[Table]:
         "revision": status.revision,
         "stamp": _time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
-        "a second": rates or "",
+        "a second": rates.in_words() if rates else "",
         "dropped": _nonzero(scans.dropped),
         "poses": _poses(status.poses),
         "ignored": status.other.ignored,
@@ -51,7 +65,10 @@ def status_tables(status: Status, rates: str | None = None) -> list[Table]:
         if value != "":
             whole.add_row(label, str(value))
     shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
-    return [whole, *(table for table in (_robots(shown), _sources(shown), _wrong(shown)) if table.rows)]
+    return [
+        whole,
+        *(table for table in (_robots(shown), _sources(shown, rates), _wrong(shown)) if table.rows),
+    ]
 
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Table:
@@ -64,15 +81,20 @@ def _robots(robots: Mapping[str, RobotStatus]) -> Table:
     return table
 
 
-def _sources(robots: Mapping[str, RobotStatus]) -> Table:
-    """A row for every sensor: what became of its scans."""
-    table = _table("source", right=("received", "integrated", "pending", "dropped", "last seq"))
+def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
+    """A row for every sensor: what became of its scans, and how many a second it sends, if that is known."""
+    received = ("received",) if rates is None else ("received", "a second")
+    table = _table("source", right=(*received, "integrated", "pending", "dropped", "last seq"))
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
             dropped = source.received - source.integrated - source.pending
-            numbers = source.received, source.integrated, source.pending, dropped
+            numbers = source.integrated, source.pending, dropped
             last_seq = "" if source.last_seq is None else str(source.last_seq)
-            table.add_row(f"{name}/{sensor}", *map(str, numbers), last_seq)
+            row = [f"{name}/{sensor}", str(source.received)]
+            if rates is not None:
+                rate = rates.sources.get(row[0])
+                row.append("" if rate is None else f"{rate:.1f}")
+            table.add_row(*row, *map(str, numbers), last_seq)
     return table
 
 

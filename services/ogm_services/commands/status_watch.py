@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from datetime import datetime
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import typer
 from rich.console import Console, Group, RenderableType
@@ -19,24 +19,12 @@ from ogm_client.status_reply import read_status
 from ogm_client.transport import json_object
 from ogm_core.errors import BadInput
 from ogm_core.status import Status
-from ogm_services.commands.status import status_tables
+from ogm_services.commands.status import Rates, status_tables
 
 DEFAULT_PERIOD = 2.0
 MIN_PERIOD = 0.1
 
 Connect = Callable[[], AbstractContextManager[ogm_client.MapClient]]
-
-
-class Rates(NamedTuple):
-    """Scans a second, between two looks at one mapper."""
-
-    received: float
-    integrated: float
-    dropped: float
-
-    def in_words(self) -> str:
-        """As a row of the table."""
-        return f"{self.received:.1f} received, {self.integrated:.1f} integrated, {self.dropped:.1f} dropped"
 
 
 class View(Protocol):
@@ -128,7 +116,7 @@ class _Tables:
     def show(self, body: bytes) -> None:
         status = read_status(body)
         rates = rates_between(self._before, status)
-        self._tables = [Text(f"at {_clock()}"), *status_tables(status, rates and rates.in_words())]
+        self._tables = [Text(f"at {_clock()}"), *status_tables(status, rates)]
         self._before = status
         self._put(Group(*self._tables))
 
@@ -146,8 +134,27 @@ def rates_between(before: Status | None, now: Status) -> Rates | None:
     if seconds <= 0.0 or counts.received < then.received:  # another mapper has taken its place
         return None
     dropped = sum(counts.dropped.values()) - sum(then.dropped.values())
-    gained = counts.received - then.received, counts.integrated - then.integrated, dropped
-    return Rates(*(count / seconds for count in gained))
+    return Rates(
+        (counts.received - then.received) / seconds,
+        (counts.integrated - then.integrated) / seconds,
+        dropped / seconds,
+        _by_source(before, now, seconds),
+    )
+
+
+def _by_source(before: Status, now: Status, seconds: float) -> dict[str, float]:
+    """Received scans a second of each sensor; none of one that is counted from the start again."""
+    then, counts = _received(before), _received(now)
+    gained = {source: count - then.get(source, 0) for source, count in counts.items()}
+    return {source: count / seconds for source, count in gained.items() if count >= 0}
+
+
+def _received(status: Status) -> dict[str, int]:
+    return {
+        f"{name}/{sensor}": source.received
+        for name, robot in status.robots.items()
+        for sensor, source in robot.sources.items()
+    }
 
 
 def _clock() -> str:
