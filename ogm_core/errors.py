@@ -19,6 +19,8 @@ OgmError
 
 MAX_SHOWN = 100
 """So much of a text that was given is repeated in an error, characters."""
+SMALLER_MAP = "map with larger cells (resolution), or keep far ends out (reach, bounds)"
+"""What helps, whichever of its limits a map reaches."""
 
 
 def cut(text: str) -> str:
@@ -104,7 +106,7 @@ class Stale(ScanRefused):
 
 
 class LimitReached(ScanRefused):
-    """A scan would stretch the map past `max_cells`, `max_bytes` or what can be addressed."""
+    """A scan would stretch the map past a limit, or what can be addressed; the kind is the limit's name."""
 
     slug = "limit"
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.model import CellModel, Planes
-from ogm_core.errors import LimitReached, OutsideBounds
+from ogm_core.errors import SMALLER_MAP, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
@@ -102,7 +102,9 @@ class OccupancyGrid:
                 updated = updated.intersection(self.bounds)
             updates = self._add(evidence, updated) if updated.cells else 0
         except MemoryError as error:
-            raise LimitReached("the system has no memory left for the map") from error
+            raise LimitReached(
+                f"the system has no memory left for the map: {SMALLER_MAP}", "memory"
+            ) from error
         # Note that the map has changed.
         self.revision += 1
         self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
@@ -112,8 +114,7 @@ class OccupancyGrid:
     def _add(self, evidence: Evidence, updated: CellRect) -> int:
         """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates."""
         known = updated if self._known is None else self._known.union(updated)
-        if known.cells > self.settings.max_cells:
-            raise LimitReached(f"{known.width} x {known.height} cells would be more than max_cells")
+        self.settings.check_known(known.width, known.height)
 
         def window(store: TileStore) -> CellRect:
             return evidence.window(store, self.bounds or store.rect)

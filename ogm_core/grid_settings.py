@@ -7,7 +7,7 @@ from typing import Literal
 
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.model import MAX_MARGIN, CellModel
-from ogm_core.errors import BadSetting
+from ogm_core.errors import SMALLER_MAP, BadSetting, LimitReached
 from ogm_core.lattice import CellRect, Lattice, Region, bounded
 
 Outside = Literal["clip", "drop"]
@@ -74,6 +74,19 @@ class GridSettings:
         if rect is not None and rect.cells > self.max_cells:
             raise BadSetting(
                 f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
+            )
+
+    def check_known(self, width: int, height: int) -> None:
+        """Refuse a scan with which the known rectangle would have `width` x `height` cells.
+
+        Raises:
+            LimitReached: they are more than `max_cells`.
+        """
+        if width * height > self.max_cells:
+            raise LimitReached(
+                f"the map would be {width} x {height} cells, more than mapper.max_cells = {self.max_cells}: "
+                f"raise it, {SMALLER_MAP}",
+                "max_cells",
             )
 
     @cached_property

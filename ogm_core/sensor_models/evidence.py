@@ -120,8 +120,9 @@ def _check_size(cells: float, settings: GridSettings) -> None:
     if cells > settings.max_scan_cells:
         raise LimitReached(
             f"a scan that speaks of {cells:.0f} cells is more than "
-            f"max_scan_cells = {settings.max_scan_cells}: "
-            "fewer beams, a shorter reach or a larger resolution make it smaller"
+            f"mapper.max_scan_cells = {settings.max_scan_cells}: "
+            "raise it, or make the scan smaller: fewer beams, a shorter reach or a larger resolution",
+            "max_scan_cells",
         )
 
 
@@ -141,7 +142,7 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     try:
         sensor_cell, (fu, fv) = lattice.place_of(placed.pose.x, placed.pose.y)
     except BadParameter as error:
-        raise LimitReached(f"the sensor is out of reach: {error}") from error
+        raise LimitReached(f"the sensor is out of reach: {error}: is its pose right?", "too_far") from error
     scan = placed.scan
     # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
     heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
@@ -157,13 +158,16 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     if not looked:
         outline = turned(ranges, model, kinds, fan, heading, resolution)
         box = CellRect(*area_fill.box_of(outline[0]))
-        _refuse_early(outline, (fu, fv), box, settings.max_cells)
+        _refuse_early(outline, (fu, fv), box, settings)
         seen = area_fill.spans(*outline, fu, fv, box)
     return Evidence(spans, (seen,), sensor_cell)
 
 
 def _refuse_early(
-    outline: tuple[Rays, NDArray[np.int64]], place: tuple[float, float], box: CellRect, max_cells: int
+    outline: tuple[Rays, NDArray[np.int64]],
+    place: tuple[float, float],
+    box: CellRect,
+    settings: GridSettings,
 ) -> None:
     """Refuse a scan that is certainly too large for any map, before all its cells are listed.
 
@@ -176,5 +180,4 @@ def _refuse_early(
         found = CellRect(*spans.extent(area_fill.spans(*outline, *place, probe)))
         if found.cells:
             extent = extent.union(found) if extent.cells else found
-    if extent.cells > max_cells:
-        raise LimitReached(f"a scan of {extent.width} x {extent.height} cells would be more than max_cells")
+    settings.check_known(extent.width, extent.height)

@@ -70,7 +70,11 @@ def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exa
         if beams.project_turned(ranges, model, sensor, onto, *projected, turned):
             return projected
     if not beams.project(ranges, model, sensor_poses(placed), onto, *projected):
-        raise LimitReached("the sensor or a beam's end is farther away than cells can be addressed")
+        raise LimitReached(
+            "the sensor or a beam's end is farther away than cells can be addressed: "
+            "are its pose and ranges right?",
+            "too_far",
+        )
     return projected
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.model import Plane
-from ogm_core.errors import LimitReached, NoRoom
+from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.lattice import CellRect
 
 TILE_BITS = 6
@@ -109,7 +109,11 @@ class TileStore:
         if tiles_met(updated) > room and store.untouched_tiles(updated) > room:
             fresh = new_tiles(store)
             if fresh > room:
-                raise NoRoom(f"{fresh} more tiles of {store.tile_bytes} bytes would exceed max_bytes")
+                raise NoRoom(
+                    f"it needs {fresh} more tiles of {store.tile_bytes} bytes, for which "
+                    f"mapper.max_bytes = {max_bytes} has no room: raise it, {SMALLER_MAP}",
+                    "max_bytes",
+                )
         if store is not self:
             store.take(self)
         return store

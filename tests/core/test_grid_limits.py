@@ -1,6 +1,7 @@
 """How a map grows, what it allocates, and what it refuses whole."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -36,11 +37,12 @@ def state(grid):
 
 
 def refuses(grid, scan, pose):
-    """Assert that the scan is refused as a limit, and changes nothing."""
+    """Assert that the scan is refused as a limit, and changes nothing; return the refusal."""
     before = state(grid)
-    with pytest.raises(LimitReached):
+    with pytest.raises(LimitReached) as refused:
         grid.integrate(scan, pose)
     assert state(grid) == before
+    return refused.value
 
 
 def assert_equal(grid, twin):
@@ -137,6 +139,26 @@ def test_max_cells_limits_the_known_rectangle():
     refuses(grid, scan_of([1.0, 50.0]), ORIGIN)  # whole, though its first beam would fit
     assert grid.integrate(scan_of([9.0]), ORIGIN) == 90
     assert (grid.revision, grid.stamp) == (3, 1)
+
+
+@pytest.mark.parametrize("sensor_model", ["beam", "sector"])
+def test_a_refusal_says_which_limit_it_is_with_its_value_and_what_helps(sensor_model):
+    helps = "raise it, map with larger cells (resolution), or keep far ends out (reach, bounds)"
+    corner = scan_of([5.0, 5.0], angle_increment=math.pi / 2)
+    found = refuses(grid_of(sensor_model=sensor_model, max_cells=600), corner, ORIGIN)
+    needed = r"the map would be \d+ x \d+ cells, more than mapper\.max_cells = 600: (.*)"
+    assert re.fullmatch(needed, str(found))[1] == helps
+    assert (found.kind, found.slug) == ("max_cells", "limit")
+    found = refuses(grid_of(sensor_model=sensor_model, max_bytes=5000), corner, ORIGIN)
+    needed = (
+        rf"it needs \d more tiles of {TILE_BYTES} bytes, for which mapper\.max_bytes = 5000 has no room: "
+    )
+    needed += "(.*)"
+    assert re.fullmatch(needed, str(found))[1] == helps
+    assert (found.kind, found.slug) == ("max_bytes", "limit")
+    found = refuses(grid_of(sensor_model=sensor_model), corner, Pose(1e300, 0.0, 0.0))
+    assert str(found).endswith("right?")
+    assert (found.kind, found.slug) == ("too_far", "limit")
 
 
 def test_max_cells_refuses_before_anything_is_allocated():
@@ -309,7 +331,8 @@ def test_a_scan_may_speak_of_max_scan_cells_and_no_more(traversal):
     refuses(grid, scan_of([math.inf] * 10, range_max=5.1, angle_increment=1e-9), ORIGIN)
     assert grid.integrate(scan_of([math.nan] * 10 + [5.0] * 10, angle_increment=1e-9), ORIGIN) == 500
     with pytest.raises(
-        LimitReached, match=r"^a scan that speaks of 510 cells is more than max_scan_cells = 500: "
+        LimitReached,
+        match=r"^a scan that speaks of 510 cells is more than mapper.max_scan_cells = 500: ",
     ):
         grid.integrate(fan(5.1), ORIGIN)
 

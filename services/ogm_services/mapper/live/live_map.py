@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar, cast
 
-from ogm_core.errors import LimitReached, NoRoom
+from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import CellRect, Region
 from ogm_core.quality.bounded import bounded_figures
@@ -232,7 +232,7 @@ class LiveMap:
             return refusal
         return LimitReached(
             f"it needs new tiles, and of mapper.max_memory, {self._memory.limit} bytes, too little is left "
-            f"({self._memory.in_words()}; readers need a copy of the map): raise it, or use larger cells",
+            f"({self._memory.in_words()}; readers need a copy of the map): raise it, {SMALLER_MAP}",
             "max_memory",
         )
 
