@@ -8,7 +8,7 @@ import zenoh
 
 from ogm_client.errors import ClientError
 from ogm_client.heard import Sent
-from ogm_client.session import reason
+from ogm_client.zenoh_errors import reason
 
 
 class Channel:

@@ -5,10 +5,12 @@ import re
 import time
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import httpcore
 import httpx
 
+from ogm_client.addresses import masked
 from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
 from ogm_client.http_deadline import DEADLINE, DeadlineTransport
 from ogm_client.transport import (
@@ -27,6 +29,7 @@ from ogm_core.errors import BadParameter, BadSetting
 from ogm_core.wire.keys import check_name
 
 _PROBLEM = "application/problem+json"
+_EXAMPLE = "a URL looks like http://127.0.0.1:8000"
 _HEADERS = {"Accept-Encoding": "identity"}
 """Of an answer that is not compressed the length tells how much memory it takes."""
 
@@ -51,10 +54,11 @@ class HttpTransport:
         Raises:
             BadSetting: it is not a URL, or the map's name or the token is ill-formed.
         """
+        _check_url(url)
         if token is not None and not re.fullmatch(r"[\x21-\x7e]+", token):
             raise BadSetting("token: letters, digits and signs without spaces are needed")
         self._authorization = None if token is None else {"Authorization": f"Bearer {token}"}
-        self._url = url
+        self._url = masked(url)
         self._limits = limits
         self._map_name = None if map_name is None else check_name(map_name, "map name")
         self._epoch: str | None = None
@@ -67,7 +71,7 @@ class HttpTransport:
                 base_url=url, headers=_HEADERS, cookies=no_cookies, transport=DeadlineTransport()
             )
         except httpx.InvalidURL as error:
-            raise BadSetting(f"address {url!r}: {error}") from error
+            raise BadSetting(f"address {self._url!r}: {masked(str(error))}") from error
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:
         """The bytes of one of NAMES."""
@@ -172,6 +176,20 @@ class HttpTransport:
                 raise too_long(f"{self._url}: /{name}", limit)
             content.write(part)
         return content.getvalue()
+
+
+def _check_url(url: str) -> None:
+    """Refuse what httpx would try to connect to in vain."""
+    shown = masked(url)
+    try:
+        parts = urlsplit(url)
+        usable = bool(parts.hostname) and parts.port != 0 and url.isprintable() and " " not in url
+    except ValueError:  # a port that is none, or brackets that do not match
+        usable = False
+    if not usable:
+        raise BadSetting(f"address {shown!r}: a host and a port, 1 to 65535, are needed; {_EXAMPLE}")
+    if parts.query or parts.fragment:
+        raise BadSetting(f"address {shown!r}: it ends with the host, the port or a path; {_EXAMPLE}")
 
 
 def _map_reply(answer: _Answer) -> MapReply:

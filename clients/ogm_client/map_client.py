@@ -11,6 +11,7 @@ from typing import Any, Self
 import zenoh
 from numpy.typing import ArrayLike
 
+from ogm_client.addresses import masked
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
@@ -63,7 +64,7 @@ class MapClient:
         must be the one served, else requests raise NobodyAnswered. An answer has to be there, to its last
         byte, `timeout` seconds after the question, and may have `max_bytes`, the cells of a map unpacked. An
         open Zenoh `session` is used in place of `address`, and stays open. `token` is the mapper's
-        `http.token`, without which it may refuse `reset`; over Zenoh none is asked for.
+        `http.token`, without which it may refuse `reset`; it is for HTTP alone.
 
         Raises:
             BadSetting: the address, the map's name, the timeout, `max_bytes` or the file is ill-formed, or
@@ -177,16 +178,21 @@ def _transport(
     if session is None and isinstance(address, str):
         if address.startswith(("http://", "https://")):
             if zenoh_config is not None:
-                raise BadSetting(f"zenoh_config: {address} is asked over HTTP; give one of the two")
+                raise BadSetting(f"zenoh_config: {masked(address)} is asked over HTTP; give one of the two")
             # Here, because it loads httpx, which who speaks Zenoh need not wait for.
             from ogm_client.http_transport import HttpTransport
 
             return HttpTransport(address, limits, map_name, token)
         if "://" in address or "/" not in address:
             raise BadSetting(
-                f"address {address!r}: http://HOST:PORT, or a Zenoh endpoint such as {DEFAULT_ADDRESS}, "
-                "is needed"
+                f"address {masked(address)!r}: http://HOST:PORT, or a Zenoh endpoint such as "
+                f"{DEFAULT_ADDRESS}, is needed"
             )
+    if token is not None:
+        raise BadSetting(
+            "token: it is for HTTP alone (http://HOST:PORT); over Zenoh certificates and access control say "
+            "who may write"
+        )
     network = NetworkConfig.of_client(address, zenoh_config)
     return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, limits, session)
 

@@ -18,7 +18,8 @@ from ogm_client.channel import Channel
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
 from ogm_client.heard import not_heard
 from ogm_client.map_client import MapClient
-from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, is_secured, open_session, reason
+from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, is_secured, open_session
+from ogm_client.zenoh_errors import reason
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan

@@ -15,8 +15,10 @@ from typing import Any, Literal
 
 import zenoh
 
+from ogm_client.addresses import masked
 from ogm_client.certificates import check_certificates, of_certificates, speaks_tls
 from ogm_client.errors import CannotConnect, CannotListen
+from ogm_client.zenoh_errors import reason, wrong_in_file
 from ogm_core.errors import BadSetting
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
@@ -29,6 +31,7 @@ LEASE_MS = 2000
 SEND_TIME_US = 500_000
 """How long a message may wait for room in the buffers of a link until whoever serves many closes it, us."""
 
+_OF_FILE = "zenoh_config (--zenoh-config, OGM_NETWORK__ZENOH_CONFIG):"
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
 _WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
 _PROTOCOLS = (*_WITH_PORTS, "quic_datagram", "unixsock-stream", "unixpipe", "serial", "vsock")
@@ -78,7 +81,9 @@ class NetworkConfig:
     @property
     def where(self) -> str:
         """Where others are looked for, for a sentence: "at ADDRESS", or by which file."""
-        return f"at {', '.join(map(str, self.connect))}" if self.connect else f"as {self.config_file} says"
+        if not self.connect:
+            return f"as {self.config_file} says"
+        return f"at {masked(', '.join(map(str, self.connect)))}"
 
 
 def open_session(config: NetworkConfig) -> zenoh.Session:
@@ -112,7 +117,7 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
                 raise failure from error
         if not told:
             told = True
-            endpoints = _endpoints(settings, "connect")
+            endpoints = masked(_endpoints(settings, "connect"))
             log.warning(
                 "waiting for a mapper or a Zenoh router at %s%s", endpoints, of_certificates(endpoints)
             )
@@ -142,7 +147,7 @@ def resolve_listen(endpoint: str) -> str:
             probe.bind(address)
             port = probe.getsockname()[1]
     except OSError as error:
-        raise CannotListen(f"cannot listen on {endpoint}: {error.strerror or error}") from error
+        raise CannotListen(f"cannot listen on {masked(endpoint)}: {error.strerror or error}") from error
     return f"{match['protocol']}/{match['host']}:{port}{match['rest'] or ''}"
 
 
@@ -160,11 +165,6 @@ def listens_on(config_file: Path | None) -> tuple[str, ...]:
 def is_secured(session: zenoh.Session) -> bool:
     """Whether certificates say who is at the ends of a session's links: then its questions may be denied."""
     return any(speaks_tls(str(link.dst)) for link in session.info.links())
-
-
-def reason(error: zenoh.ZError) -> str:
-    """What Zenoh says went wrong, on one line, without the source locations that it appends."""
-    return " ".join(re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).split()).rstrip(".!")
 
 
 def _hermetic(config: NetworkConfig) -> zenoh.Config:
@@ -198,11 +198,11 @@ def _hermetic(config: NetworkConfig) -> zenoh.Config:
 
 def _from_file(path: Path, config: NetworkConfig) -> zenoh.Config:
     if not path.is_file():
-        raise BadSetting(f"zenoh configuration {path}: no such file")
+        raise BadSetting(f"{_OF_FILE} {path}: no such file")
     try:
         settings = zenoh.Config.from_file(path)
     except zenoh.ZError as error:
-        raise BadSetting(f"zenoh configuration {path}: {reason(error)}") from error
+        raise BadSetting(f"{_OF_FILE} {path}: {wrong_in_file(error)}") from None  # its text may hold secrets
     if config.mode is not None:
         _insert(settings, "mode", config.mode)
     if config.listen:
@@ -222,13 +222,16 @@ def _check_endpoint(side: str, endpoint: str) -> None:
     if not isinstance(endpoint, str):
         raise BadSetting(f"{side}: a text such as {DEFAULT_ADDRESS} is needed, got {endpoint!r}")
     protocol, slash, rest = endpoint.partition("/")
+    endpoint = masked(endpoint)
     example = f"an endpoint looks like {DEFAULT_ADDRESS}"
     if rest.startswith("/"):
         raise BadSetting(f"{side} {endpoint}: a URL is no Zenoh endpoint; {example}")
     if not slash:
         raise BadSetting(f"{side} {endpoint}: {example}")
     if protocol not in _PROTOCOLS:
-        raise BadSetting(f"{side} {endpoint}: {protocol!r} is none of {', '.join(_PROTOCOLS)}; {example}")
+        raise BadSetting(
+            f"{side} {endpoint}: {masked(protocol)!r} is none of {', '.join(_PROTOCOLS)}; {example}"
+        )
     if protocol in _WITH_PORTS:
         host, port = _host_and_port(rest)
         lowest = 1 if side == "connect" else 0  # port 0 takes a free one
@@ -255,11 +258,11 @@ def _check_hosts(endpoints: tuple[str, ...]) -> None:
         try:
             socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
         except UnicodeError:  # what cannot be a name
-            unknown.append(f"{endpoint}: unknown host {host!r}")
+            unknown.append(f"{masked(endpoint)}: unknown host {masked(host)!r}")
         except socket.gaierror as error:
             if error.errno == socket.EAI_AGAIN:
                 return
-            unknown.append(f"{endpoint}: unknown host {host!r} ({error.strerror})")
+            unknown.append(f"{masked(endpoint)}: unknown host {masked(host)!r} ({error.strerror})")
         else:
             return
     if unknown:
@@ -273,13 +276,13 @@ def _insert(settings: zenoh.Config, key: str, value: Any) -> None:  # noqa: ANN4
         if not key.endswith("endpoints"):
             raise
         raise BadSetting(
-            f"{key.split('/')[0]} {', '.join(value)}: an endpoint looks like {DEFAULT_ADDRESS}"
+            f"{key.split('/')[0]} {masked(', '.join(value))}: an endpoint looks like {DEFAULT_ADDRESS}"
         ) from error
 
 
 def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | CannotListen:
-    text = reason(error)
-    listen, connect = _endpoints(settings, "listen"), _endpoints(settings, "connect")
+    text = masked(reason(error))
+    listen, connect = masked(_endpoints(settings, "listen")), masked(_endpoints(settings, "connect"))
     if connect and (not listen or text.startswith("Unable to connect")):
         return CannotConnect(
             f"cannot connect to {connect}: is a mapper running there? Start one with `ogm mapper`, or give "

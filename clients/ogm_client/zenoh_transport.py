@@ -7,7 +7,7 @@ import msgpack
 import zenoh
 
 from ogm_client.errors import BadReply, ClientError, nobody
-from ogm_client.session import NetworkConfig, is_secured, open_session, reason
+from ogm_client.session import NetworkConfig, is_secured, open_session
 from ogm_client.transport import (
     MAX_PROBLEM_BYTES,
     Limits,
@@ -20,6 +20,7 @@ from ogm_client.transport import (
     printable,
     too_long,
 )
+from ogm_client.zenoh_errors import reason
 from ogm_core.wire.keys import MapKeys, Service
 
 _TIMED_OUT = b"Timeout"

@@ -1,6 +1,7 @@
 """Clients whose way to the mapper stands in a Zenoh configuration file."""
 
 import re
+import traceback
 
 import pytest
 import zenoh
@@ -73,7 +74,8 @@ def test_what_is_wrong_with_a_file_is_one_line(file, tmp_path, use):
     assert re.search(
         r"missing\.json5: no such file", said(BadSetting, zenoh_config=tmp_path / "missing.json5")
     )
-    assert "client.json5" in said(BadSetting, zenoh_config=file("nonsense: 1"))
+    where = r"^zenoh_config \(--zenoh-config, OGM_NETWORK__ZENOH_CONFIG\): \S*client\.json5: "
+    assert re.search(where, said(BadSetting, zenoh_config=file("nonsense: 1")))
     assert "path of a file" in said(BadSetting, zenoh_config=7)
     assert NOWHERE in said(
         CannotConnect, zenoh_config=file(f'mode: "client", connect: {{endpoints: ["{NOWHERE}"]}}')
@@ -112,3 +114,47 @@ def test_who_waits_where_tls_is_spoken_is_told_of_certificates(file, caplog, mon
     assert said.startswith(
         "waiting for a mapper or a Zenoh router at tls/127.0.0.1:1; with TLS each side needs"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{\n mode: "client",\n passwort: "hunter2"}', "line 3: unknown field `passwort`, expected one of"),
+        ('{transport: {link: {tx: {lease: "hunter2"}}}}', "line 1: error parsing number"),
+        ('{connect: {timeout_ms: "hunter2\\" `hunter2"}}', "line 1: invalid type: string, expected i64"),
+        (
+            "{\n\ntransport: {auth: {usrpwd: {user: 424242}}}}",
+            "line 3: invalid type: integer, expected ",
+        ),
+        ('{\n mode: "client", password: "hunter2\n"}', "line 2: no JSON5, expected "),
+        ('{connect: {endpoints: ["tcp/a:1"]', "line 1: no JSON5, expected "),
+        ("mode: client", "line 1: no JSON5, expected "),
+        ("", "Empty config file"),
+    ],
+)
+def test_an_error_names_the_line_of_the_file_and_no_value_that_stands_there(tmp_path, text, says):
+    path = tmp_path / "of_mine.json5"
+    path.write_text(text)
+    with pytest.raises(BadSetting) as error:
+        MapClient(zenoh_config=path)
+    chain = "".join(traceback.format_exception(error.value))
+    said = str(error.value)
+    assert f"of_mine.json5: {'' if says[0] == 'E' else 'Zenoh does not take '}{says}" in said
+    assert not re.search(r"hunter2|424242|Some\(|Message|\.rs|[{\n]", said)
+    assert not re.search("hunter2|424242", chain.replace(repr(text), ""))
+
+
+@pytest.mark.parametrize("use", [ask, publish])
+def test_who_would_connect_as_a_user_is_not_named(file, use, caplog):
+    for address in (
+        "tcp/joe:hunter2@127.0.0.1:1",
+        "joe:hunter2@127.0.0.1:1",
+        "tcp/joe:hunter2@h",
+    ):
+        with pytest.raises((BadSetting, CannotConnect)) as error:
+            use(address=address)
+        assert re.search(r"\*\*\*@(127\.0\.0\.1|h)", str(error.value))
+        assert "hunter2" not in str(error.value) + caplog.text
+        with pytest.raises((BadSetting, CannotConnect)) as error:
+            use(zenoh_config=file(f'mode: "client", connect: {{endpoints: ["{address}"]}}'))
+        assert "hunter2" not in str(error.value) + caplog.text

@@ -49,6 +49,9 @@ def test_without_the_token_nothing_is_written(guarded, authorization):
     assert (body["type"], body["status"], body["title"]) == ("unauthorized", 401, "Unauthorized")
     assert "Authorization: Bearer TOKEN" in body["detail"]
     assert "http.token" in body["detail"]
+    missing = authorization in (None, "", "Bearer", f"Basic {TOKEN}", TOKEN, f"Bearer{TOKEN}")
+    assert ("it carries no token: " in body["detail"]) is missing
+    assert ("its token is not the mapper's: " in body["detail"]) is not missing
     assert TOKEN not in response.text
     assert guarded.status()["epoch"] == before
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import ogm_client
+from ogm_client.addresses import masked
 from ogm_client.session import open_session
 from ogm_services.settings.settings import NetworkSettings
 
@@ -11,7 +12,7 @@ from ogm_services.settings.settings import NetworkSettings
 def address_of(url: str | None, network: NetworkSettings) -> str:
     """Where the mapper is looked for, in words."""
     config = network.for_client()
-    return url or ", ".join((*config.connect, *config.listen)) or str(config.config_file)
+    return masked(url or ", ".join((*config.connect, *config.listen)) or str(config.config_file))
 
 
 @contextmanager

@@ -1,11 +1,11 @@
 """Settings as people read them: every one with its origin, and those that differ from the defaults."""
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, SecretStr
 
+from ogm_client.addresses import MASKED, masked
 from ogm_core.errors import printable
 from ogm_core.files.strict_yaml import dump_yaml
 from ogm_services.settings.settings import SECTIONS, Settings
@@ -13,12 +13,8 @@ from ogm_services.settings.settings import SECTIONS, Settings
 if TYPE_CHECKING:
     from ogm_services.settings.sources import Origins
 
-MASKED = "***"
-"""Stands for what nobody is to read in a log."""
 _NO_BREAK = 2**30
 """Width of a line that is never reached."""
-_SECRET_OF_ENDPOINT = re.compile(r"((?:private_key|password)\w*=)[^;#,]*")
-_USER_OF_ENDPOINT = re.compile(r"^(\w+/)[^#]*@")
 
 
 def described(settings: Settings, origins: "Origins") -> str:
@@ -65,15 +61,10 @@ def _plain(value: object) -> Any:  # noqa: ANN401 (whatever YAML has)
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, tuple):
-        return [_masked(part) if isinstance(part, str) else _plain(part) for part in value]
+        return [masked(part) if isinstance(part, str) else _plain(part) for part in value]
     if value is None or isinstance(value, bool | int | float):
         return value
     return str(value)
-
-
-def _masked(endpoint: str) -> str:
-    """An endpoint without its secrets, and without a user before its address; a host's name as it is."""
-    return _USER_OF_ENDPOINT.sub(rf"\1{MASKED}@", _SECRET_OF_ENDPOINT.sub(rf"\1{MASKED}", endpoint))
 
 
 def _line(key: str, value: object) -> str:

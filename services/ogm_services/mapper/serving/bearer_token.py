@@ -33,9 +33,10 @@ class BearerToken:
         if len(given) == 1 and hmac.compare_digest(_token_of(given[0]), self._token):
             await self._app(scope, receive, send)
             return
+        what = "its token is not the mapper's" if any(map(_token_of, given)) else "it carries no token"
         error = Unauthorized(
-            f"{scope['method']} {scope['path'][:MAX_SHOWN]}: refused: it needs the header "
-            "`Authorization: Bearer TOKEN` with the token of the mapper's settings (http.token)"
+            f"{scope['method']} {scope['path'][:MAX_SHOWN]}: refused: {what}: it needs the header "
+            "`Authorization: Bearer TOKEN`, once, with the token of the mapper's settings (http.token)"
         )
         challenge = {"WWW-Authenticate": 'Bearer error="invalid_token"' if given else "Bearer"}
         await refusal(error, challenge)(scope, receive, send)
