@@ -105,7 +105,8 @@ def parse_yaml(text: str) -> object:
         # _Loader is a SafeLoader: it makes plain values only.
         return yaml.load(text, Loader=_Loader)
     except YAML_ERRORS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        said = str(error).replace(' in "<unicode string>", line', " at line")
+        reason = " ".join(said.split()) or type(error).__name__
         raise ValueError(f"not YAML that can be read ({reason[:300]})") from error
 
 

@@ -357,9 +357,10 @@ def get(
     config: ConfigFile = None,
 ) -> None:
     """Fetch a file from a running mapper."""
-    from ogm_services.commands.get import fetch
+    from ogm_services.commands.get import check_asked, fetch
     from ogm_services.commands.mapper_client import mapper_client
 
+    check_asked(name)
     with mapper_client(url, settings_from(config, network).network) as client:
         written = fetch(client, name, out, sys.stdout.buffer)
     if out is None:

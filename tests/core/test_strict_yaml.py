@@ -96,3 +96,11 @@ def test_what_is_written_is_read_as_the_same():
     ]
     value = {"texts": texts, "numbers": [0, -12, 1e-5, 1e300, 0.1 + 0.2, -math.inf], "08": {"1e3": None}}
     assert parse_yaml(dump_yaml(value)) == value
+
+
+def test_an_error_says_the_line_and_nothing_of_what_reads_it():
+    with pytest.raises(
+        ValueError, match=r"\(while parsing a flow node did not find .* at line 3, column 1\)$"
+    ) as error:
+        parse_yaml("a: 1\nb: [\n")
+    assert "unicode" not in str(error.value)

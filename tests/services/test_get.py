@@ -295,3 +295,21 @@ def test_status_as_a_table(ogm, mapper):
 
 def test_every_reason_has_a_cure():
     assert set(WHAT_HELPS) == set(DROP_REASONS)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        *(
+            (name, "cannot be fetched, only map.png, ")
+            for name in ("map.gif", "MAP.PNG?t=1", "/map", "", "cells")
+        ),
+        ("http://joe:secret@h:1/map.png", "NAME says what to fetch, such as map.png; --url where from"),
+    ],
+)
+def test_a_name_that_nothing_has_is_refused_whether_or_not_a_mapper_is_there(name, says):
+    ended = CliRunner().invoke(app, ["get", name, "--url", "tcp/127.0.0.1:1"], prog_name="ogm")
+    assert (ended.exit_code, ended.stdout) == (2, "")
+    assert says in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert "secret" not in ended.stderr

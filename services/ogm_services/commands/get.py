@@ -7,7 +7,9 @@ from typing import BinaryIO
 from urllib.parse import parse_qsl
 
 from ogm_client import MapClient, MapperError
-from ogm_core.errors import BadInput, BadParameter
+from ogm_client.addresses import masked
+from ogm_client.transport import NAMES
+from ogm_core.errors import BadInput, BadParameter, cut
 from ogm_core.files.file_names import check_suffix, check_text, ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.whole_files import write_files
@@ -15,6 +17,20 @@ from ogm_services.results.written import written
 from ogm_services.settings.values import parse_region
 
 STDOUT = Path("-")
+
+
+def check_asked(name: str) -> None:
+    """Refuse what no mapper serves, whether or not one is there.
+
+    Raises:
+        BadInput: `name`, which may carry parameters, is none of NAMES.
+    """
+    check_text(name, "NAME")
+    if "://" in name:
+        raise BadInput(f"{masked(name)!r}: NAME says what to fetch, such as map.png; --url where from")
+    bare = name.lstrip("/").partition("?")[0]
+    if bare not in NAMES:
+        raise BadInput(f"{cut(bare)!r} cannot be fetched, only {', '.join(NAMES)}")
 
 
 def fetch(client: MapClient, name: str, out: Path | None, stdout: BinaryIO) -> tuple[Path, ...]:
