@@ -10,7 +10,6 @@ from urllib.parse import urlsplit
 import httpcore
 import httpx
 
-from ogm_client.addresses import masked
 from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
 from ogm_client.http_deadline import DEADLINE, DeadlineTransport
 from ogm_client.transport import (
@@ -26,6 +25,7 @@ from ogm_client.transport import (
     too_long,
 )
 from ogm_core.errors import BadParameter, BadSetting
+from ogm_core.wire.addresses import masked
 from ogm_core.wire.keys import check_name
 
 _PROBLEM = "application/problem+json"

@@ -11,7 +11,6 @@ from typing import Any, Self
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.addresses import masked
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
@@ -21,6 +20,7 @@ from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
 from ogm_core.files.map_files import MAX_NPZ_BYTES, read_npz
 from ogm_core.status import Status
+from ogm_core.wire.addresses import masked
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 DEFAULT_TIMEOUT = 5.0

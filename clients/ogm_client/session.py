@@ -15,11 +15,11 @@ from typing import Any, Literal
 
 import zenoh
 
-from ogm_client.addresses import masked
 from ogm_client.certificates import check_certificates, of_certificates, speaks_tls
 from ogm_client.errors import CannotConnect, CannotListen
 from ogm_client.zenoh_errors import reason, wrong_in_file
 from ogm_core.errors import BadSetting
+from ogm_core.wire.addresses import masked
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 CONNECT_TIMEOUT = 2.0

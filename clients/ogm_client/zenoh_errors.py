@@ -4,8 +4,8 @@ import re
 
 import zenoh
 
-from ogm_client.addresses import masked
 from ogm_core.errors import printable
+from ogm_core.wire.addresses import masked
 
 _SOURCE = re.compile(r" at /\S+\.rs:\d+\.?")
 _MESSAGE = re.compile(r'Message \{ msg: "(?P<what>.*)", location: Some\(Location \{ line: (?P<line>\d+)')

@@ -3,7 +3,7 @@
 import pytest
 
 from ogm_client import BadSetting, CannotConnect, MapClient
-from ogm_client.addresses import masked
+from ogm_core.wire.addresses import masked
 
 
 @pytest.mark.parametrize(

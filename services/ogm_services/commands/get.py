@@ -7,12 +7,12 @@ from typing import BinaryIO
 from urllib.parse import parse_qsl
 
 from ogm_client import MapClient, MapperError
-from ogm_client.addresses import masked
 from ogm_client.transport import NAMES
 from ogm_core.errors import BadInput, BadParameter, cut
 from ogm_core.files.file_names import check_suffix, check_text, ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.whole_files import write_files
+from ogm_core.wire.addresses import masked
 from ogm_services.results.written import written
 from ogm_services.settings.values import parse_region
 

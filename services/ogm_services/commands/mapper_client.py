@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import ogm_client
-from ogm_client.addresses import masked
 from ogm_client.session import open_session
+from ogm_core.wire.addresses import masked
 from ogm_services.settings.settings import NetworkSettings
 
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, SecretStr
 
-from ogm_client.addresses import MASKED, masked
 from ogm_core.errors import printable
 from ogm_core.files.strict_yaml import dump_yaml
+from ogm_core.wire.addresses import MASKED, masked
 from ogm_services.settings.settings import SECTIONS, Settings
 
 if TYPE_CHECKING:
