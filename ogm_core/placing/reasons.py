@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS, MAX_WAITING, WAITING_NS
+from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS, MAX_WAITING_SCANS, WAITING_NS
 from ogm_core.placing.source import REPEATS_IN_A_ROW
 from ogm_core.types import Pose, shorter_arc
 
@@ -32,7 +32,7 @@ LOG_ENDED = Reason("log ended", f"the log ends before a pose at or after its las
 CROWDED = Reason(
     "crowded",
     f"no pose has come for it, and scans of its sensor that are {WAITING_NS / 1e9:g} s newer, or "
-    f"{MAX_WAITING} others, wait, too: {_RATE}",
+    f"{MAX_WAITING_SCANS} others, wait, too: {_RATE}",
 )
 STEPPED = Reason(
     "stepped",

@@ -15,7 +15,7 @@ JITTER_NS = 50_000_000
 """A stamp may lie so far before an earlier message's without that the clock went back."""
 WAITING_NS = 60_000_000_000
 """A scan waits for its pose until one of its sensor that is so much newer waits, too."""
-MAX_WAITING = 4096
+MAX_WAITING_SCANS = 4096
 """So many scans of a sensor wait at most, whatever their stamps."""
 REMEMBERED = 8
 """So many replaced runs are remembered, those that were heard last."""

@@ -13,7 +13,7 @@ from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot import Robot
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
-from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING, WAITING_NS, PlacingRules
+from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING_SCANS, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits, WaitingScans
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
@@ -284,7 +284,8 @@ class ScanPlacer:
         """Give up those scans of a sensor that wait while much newer ones do, or too many."""
         mine = [item for item in robot.waiting if item.sensor == sensor]
         newest = max(item.scan.stamp for item in mine)
-        kept = MAX_WAITING if len(mine) <= MAX_WAITING else MAX_WAITING * 7 // 8  # not one by one
+        most = MAX_WAITING_SCANS
+        kept = most if len(mine) <= most else most * 7 // 8  # not one by one
         oldest_number = mine[-kept:][0].number
         self._give_up(
             name,

@@ -12,7 +12,7 @@ from ogm_core.types import Pose, Scan
 
 ROUNDING = 1.0 + 1e-6
 """A float32 may be so much more than the `range_max` that it was rounded from."""
-MAX_SOURCES = 1000
+REMEMBERED_SOURCES = 1000
 """Sources whose rules are remembered; to look them up anew does no harm."""
 MAX_TIME_OFFSET = 4e9
 """s; more than from the Unix epoch to our days, for a clock that was never set."""
@@ -75,7 +75,7 @@ class SensorRules:
         """What holds for a source's scans, all rules together; None if no rule matches it."""
         if source in self._of:
             return self._of[source]
-        if len(self._of) >= MAX_SOURCES:
+        if len(self._of) >= REMEMBERED_SOURCES:
             self._of.clear()
         found: dict[str, Any] = {}
         for rule in self._rules:

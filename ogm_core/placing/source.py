@@ -1,7 +1,7 @@
 """Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
 
 from ogm_core.placing.held import Held
-from ogm_core.placing.rules import JITTER_NS, MAX_WAITING, WAITING_NS, remember
+from ogm_core.placing.rules import JITTER_NS, MAX_WAITING_SCANS, WAITING_NS, remember
 from ogm_core.placing.sequence import Sequence
 from ogm_core.types import Scan
 
@@ -53,7 +53,7 @@ class Source:
         """
         count, oldest, newest = self.waiting or (0, stamp, stamp)
         self.waiting = count, oldest, newest = count + 1, min(oldest, stamp), max(newest, stamp)
-        return count > MAX_WAITING or newest - oldest > WAITING_NS
+        return count > MAX_WAITING_SCANS or newest - oldest > WAITING_NS
 
     def seen(self, scan: Scan) -> bool:
         """Whether a scan is a duplicate; run "" numbers nothing."""

@@ -6,7 +6,7 @@ import pytest
 
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
-from ogm_core.placing.rules import FEWEST_POSES, MAX_WAITING, MOST_POSES
+from ogm_core.placing.rules import FEWEST_POSES, MAX_WAITING_SCANS, MOST_POSES
 from ogm_core.status import PoseCounts, SourceStatus
 from ogm_core.types import Pose, PoseStamped
 
@@ -86,11 +86,11 @@ def test_scans_of_other_sensors_do_not_push_one_out():
 
 def test_no_more_than_4096_scans_of_a_sensor_wait():
     desk = Desk().pose(0)
-    for _ in range(MAX_WAITING + 2):
+    for _ in range(MAX_WAITING_SCANS + 2):
         desk.scan(10)
-    gone = MAX_WAITING // 8 + 1  # an eighth at once
-    assert (desk.pending, desk.dropped) == (MAX_WAITING + 2 - gone, {"no_pose": gone})
-    assert desk.pose(10).order == list(range(gone, MAX_WAITING + 2))
+    gone = MAX_WAITING_SCANS // 8 + 1  # an eighth at once
+    assert (desk.pending, desk.dropped) == (MAX_WAITING_SCANS + 2 - gone, {"no_pose": gone})
+    assert desk.pose(10).order == list(range(gone, MAX_WAITING_SCANS + 2))
 
 
 @pytest.mark.parametrize(

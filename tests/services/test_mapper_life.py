@@ -5,6 +5,7 @@ import json
 import socket
 import threading
 import time
+from contextlib import closing
 
 import httpx
 import pytest
@@ -19,6 +20,7 @@ from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe, HttpThread
 from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Unavailable
 
 
@@ -42,14 +44,16 @@ def refuse(_):
 def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
-    app = build_app(BrokenAnswers(), health, reset, Metrics(), hosts=["mapper"])
+    shares = Shares(waiting=4)
+    app = build_app(BrokenAnswers(), health, reset, Metrics(), hosts=["mapper"], shares=shares)
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://mapper") as client:
             return await client.request(method, path)
 
-    return asyncio.run(send())
+    with closing(shares):
+        return asyncio.run(send())
 
 
 def problem(response):

@@ -12,7 +12,7 @@ from ogm_services.replies import queryables as queryables_module
 from ogm_services.replies import turns as turns_module
 from ogm_services.replies.answer import Answer
 from ogm_services.replies.queryables import Queryables
-from ogm_services.replies.turns import MAX_WAITING, Turns
+from ogm_services.replies.turns import MAX_QUESTIONS, Turns
 
 KEY = "ogm/v1/hall/slow"
 DEADLINE = 20.0
@@ -57,8 +57,8 @@ def ask(endpoint):
 
 
 def test_past_so_many_that_wait_queries_are_refused_at_once_and_all_others_answered(service, ask, eventually):
-    room = 2 + MAX_WAITING
-    assert MAX_WAITING == 64
+    room = 2 + MAX_QUESTIONS
+    assert MAX_QUESTIONS == 64
     for number in range(room):
         ask(number)
     for number in range(3):
@@ -88,7 +88,7 @@ def test_a_query_of_a_service_that_stops_is_told(service, ask, eventually):
 
 
 def test_who_waits_too_long_is_told_while_all_threads_are_busy(service, ask, eventually, monkeypatch):
-    monkeypatch.setattr(turns_module, "PATIENCE", 0.3)
+    monkeypatch.setattr(turns_module, "TURN_PATIENCE", 0.3)
     for number in range(2):
         ask(number)
     eventually(lambda: service.begun == 2, DEADLINE)
@@ -154,15 +154,15 @@ def stuck():
 
 
 def test_refusals_hold_up_neither_who_calls_nor_who_sees_to_the_late(stuck, eventually, monkeypatch):
-    monkeypatch.setattr(turns_module, "PATIENCE", 0.2)
+    monkeypatch.setattr(turns_module, "TURN_PATIENCE", 0.2)
     link = stuck(b"small", threads=1)
     link.ask("a" * 5000)  # it would not return
-    for _ in range(1 + MAX_WAITING + 10):
+    for _ in range(1 + MAX_QUESTIONS + 10):
         link.ask()
     eventually(lambda: sorted(link.sending) == ["bad-parameter", "ok"], DEADLINE)
     (clock,) = (t for t in threading.enumerate() if t.name == "ogm-test-clock")
     link.moves.set()
-    eventually(lambda: link.ended == 1 + MAX_WAITING + 11, DEADLINE)
+    eventually(lambda: link.ended == 1 + MAX_QUESTIONS + 11, DEADLINE)
     assert link.sending.count("busy") >= 10
     assert link.sending.count("bad-parameter") == 1
     assert clock.is_alive()

@@ -69,7 +69,7 @@ def test_scans_that_the_mapper_refuses_are_a_failure(start_mapper, tmp_path):
 
 
 def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp_path, monkeypatch):
-    monkeypatch.setattr(replay, "PATIENCE", 0.5)
+    monkeypatch.setattr(replay, "MAPPER_PATIENCE", 0.5)
     log = log_of(tmp_path / "log.jsonl", 200, beams=9)
     # What is malformed has no seq, so the mapper never says that it has taken any of it.
     with (
@@ -81,7 +81,7 @@ def test_it_gives_up_on_a_mapper_that_takes_nothing_of_its_own(start_mapper, tmp
 
 
 def test_scans_of_one_robot_too_many_are_a_failure_that_is_named(mapper, tmp_path, monkeypatch):
-    monkeypatch.setattr(replay, "PATIENCE", 0.5)
+    monkeypatch.setattr(replay, "MAPPER_PATIENCE", 0.5)
     monkeypatch.setattr(receipts, "MAX_ROBOTS", 1)
     mapper.scan([1.0], robot="first", pose=[0.0, 0.0, 0.0])
     mapper.settle(received=1)

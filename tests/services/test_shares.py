@@ -62,7 +62,7 @@ def test_over_http_probes_are_answered_while_forty_ask_for_figures_and_maps(stuc
 def test_over_http_who_waits_too_long_gets_503_and_is_told_when_to_ask_again(
     stuck, mapper, eventually, monkeypatch, in_background
 ):
-    monkeypatch.setattr(turns_module, "PATIENCE", 0.3)
+    monkeypatch.setattr(turns_module, "TURN_PATIENCE", 0.3)
     held = [in_background(ask, mapper, "/quality") for _ in range(8)]
     eventually(lambda: mapper.service._http_shares.maps._working == 8)
     late = [in_background(ask, mapper, path) for path in ("/map.png", "/cell?x=0&y=0", "/quality")]

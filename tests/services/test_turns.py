@@ -6,7 +6,7 @@ import pytest
 
 from ogm_services.replies import turns as turns_module
 from ogm_services.replies.answer import Busy, Unavailable
-from ogm_services.replies.turns import MAX_WAITING, PATIENCE, Turns
+from ogm_services.replies.turns import MAX_QUESTIONS, TURN_PATIENCE, Turns
 
 DEADLINE = 20.0
 
@@ -35,7 +35,7 @@ def held(turns):
 
 
 def test_the_defaults():
-    assert (MAX_WAITING, PATIENCE) == (64, 5.0)
+    assert (MAX_QUESTIONS, TURN_PATIENCE) == (64, 5.0)
 
 
 def test_what_is_returned_or_raised_is_handed_on(turns):
@@ -59,7 +59,7 @@ def test_they_come_in_order_and_past_so_many_none_is_taken(turns, held):
 
 
 def test_who_waits_too_long_is_refused_and_nothing_is_done_for_him(turns, held, monkeypatch):
-    monkeypatch.setattr(turns_module, "PATIENCE", 0.2)
+    monkeypatch.setattr(turns_module, "TURN_PATIENCE", 0.2)
     done = []
     late = turns.take(lambda: done.append("late"))
     with pytest.raises(Busy, match=r"^test: no turn came within 0.2 s: try again later$"):

@@ -31,9 +31,9 @@ ASK_EVERY = 16
 """Scans that are sent before it is asked again: its answer is long if there are many robots."""
 LONGEST_PAUSE = 10.0
 """Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
-PATIENCE = 10.0
+MAPPER_PATIENCE = 10.0
 """How long the mapper may take no further scan of ours, s."""
-PATIENCE_WITH_POSES = 600.0
+POSES_PATIENCE = 600.0
 """How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
 POLL = 0.002
 
@@ -131,7 +131,7 @@ class _Replay:
 
         self._follow()
         self._patiently(received, "taking scans")
-        self._patiently(handled, "handling scans", PATIENCE_WITH_POSES)
+        self._patiently(handled, "handling scans", POSES_PATIENCE)
         dropped = self._dropped()
         if any(dropped.get(reason) for reason in _FATAL):
             raise ReplayFailed(self._report())
@@ -184,7 +184,7 @@ class _Replay:
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
         """Poll until `reached`; give up when what it says of our sources stands still for too long, s."""
-        patience = PATIENCE if patience is None else patience
+        patience = MAPPER_PATIENCE if patience is None else patience
         deadline, seen = time.monotonic() + patience, self._progress()
         while not reached():
             if time.monotonic() > deadline:
@@ -203,7 +203,7 @@ class _Replay:
                 robot, session=self._session, map_name=self._map_name, run=self._run, reliable=True
             )
             self._robots[robot] = self._opening.enter_context(publisher)
-            publisher.wait_for_mapper(PATIENCE)
+            publisher.wait_for_mapper(MAPPER_PATIENCE)
         return self._robots[robot]
 
     def _renamed(self, source: Source, run: str, seq: int) -> tuple[str, int]:

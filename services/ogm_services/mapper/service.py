@@ -43,12 +43,12 @@ from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
-from ogm_services.mapper.serving.http_routes import MAX_WAITING, build_app
+from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
-from ogm_services.mapper.serving.shares import Shares
+from ogm_services.mapper.serving.shares import HTTP_QUESTIONS, ZENOH_QUESTIONS, Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.replies.in_flight import MAX_IN_FLIGHT, InFlight
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
@@ -329,6 +329,8 @@ class MapperService:
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
         self._others = others = OtherMappers(session, keys)
         opening.callback(others.close)  # last of all: until then no other mapper starts
+        self._http_shares = _shares(opening, HTTP_QUESTIONS)
+        zenoh_shares = _shares(opening, ZENOH_QUESTIONS)
         routes = ZenohRoutes(session, keys, self.in_flight)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
@@ -338,10 +340,8 @@ class MapperService:
         )
         opening.callback(subscriber.close)
         others.claim()
-        self._http_shares = Shares(MAX_WAITING)
-        opening.callback(self._http_shares.close)
         opening.enter_context(self._http(listener))
-        routes.declare(self.answers, self.reset)
+        routes.declare(self.answers, self.reset, zenoh_shares)
         _warm_up(self._grid_settings)
         others.serve()
         self._worker.start()
@@ -377,6 +377,13 @@ class MapperService:
         )
         self._http_thread = HttpThread(app, listener, closed=self._metrics.measurements.http_closed)
         return self._http_thread
+
+
+def _shares(opening: ExitStack, waiting: int) -> Shares:
+    """The threads that answer the questions of one protocol."""
+    shares = Shares(waiting)
+    opening.callback(shares.close)
+    return shares
 
 
 def _warm_up(settings: GridSettings) -> None:

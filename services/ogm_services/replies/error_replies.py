@@ -10,7 +10,7 @@ from ogm_core.errors import OgmError
 from ogm_services.replies.problems import MEDIA_TYPE, problem, problem_of
 from ogm_services.runtime.limited_log import LimitedLog
 
-MAX_WAITING = 1024
+MAX_UNTOLD = 1024
 """So many queries may wait to be told; more get no reply, on links where nothing moves anyway."""
 MAX_LARGE = 4
 """So many wait of those that are large themselves."""
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 class ErrorReplies:
     """Tells queries what went wrong, until `close`. Any thread; only its own one waits for links."""
 
-    def __init__(self, waiting: int = MAX_WAITING) -> None:
+    def __init__(self, waiting: int = MAX_UNTOLD) -> None:
         self._room = waiting
         self._waiting: queue.SimpleQueue[tuple[zenoh.Query, bytes] | None] = queue.SimpleQueue()
         self._log = LimitedLog(log)

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 from ogm_core.errors import OgmError
 from ogm_services.replies.answer import Busy, Unavailable
 
-PATIENCE = 5.0
+TURN_PATIENCE = 5.0
 """So long a question waits for its turn, s."""
-MAX_WAITING = 64
+MAX_QUESTIONS = 64
 """So many questions may wait; more are refused at once."""
 
 _T = TypeVar("_T")
@@ -32,7 +32,7 @@ class Turns:
     Any thread asks; nobody is made to wait. Closed once.
     """
 
-    def __init__(self, share: str, threads: int, waiting: int = MAX_WAITING) -> None:
+    def __init__(self, share: str, threads: int, waiting: int = MAX_QUESTIONS) -> None:
         """`share` names the questions in threads and errors; of them `waiting` may wait for the threads."""
         self._share = share
         self._room = waiting
@@ -49,13 +49,13 @@ class Turns:
     def take(self, answer: Callable[[], _T]) -> "Future[_T]":
         """What `answer` returns or raises, once a thread has come to it.
 
-        The future raises Busy if too many wait already, or after PATIENCE; Unavailable if it is closed.
+        The future raises Busy if too many wait already, or after TURN_PATIENCE; Unavailable if it is closed.
         """
         outcome: Future[_T] = Future()
         with self._lock:
             refused = self._refusal()
             if refused is None:
-                self._waiting.append(_Question(answer, outcome, time.monotonic() + PATIENCE))
+                self._waiting.append(_Question(answer, outcome, time.monotonic() + TURN_PATIENCE))
                 self._pool.submit(self._answer_next)
         if refused is not None:
             outcome.set_exception(refused)
@@ -98,12 +98,13 @@ class Turns:
     def _refuse_the_late(self) -> None:
         while not self._closed.wait(self._next_look()):
             while (question := self._late()) is not None:
-                _refuse(question, Busy(f"{self._share}: no turn came within {PATIENCE:g} s: try again later"))
+                why = f"{self._share}: no turn came within {TURN_PATIENCE:g} s: try again later"
+                _refuse(question, Busy(why))
 
     def _next_look(self) -> float:
         with self._lock:
-            soonest = self._waiting[0].until - time.monotonic() if self._waiting else PATIENCE
-        return min(max(soonest, 0.0), PATIENCE / 10)
+            soonest = self._waiting[0].until - time.monotonic() if self._waiting else TURN_PATIENCE
+        return min(max(soonest, 0.0), TURN_PATIENCE / 10)
 
     def _late(self) -> _Question | None:
         with self._lock:

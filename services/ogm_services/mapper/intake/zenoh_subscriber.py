@@ -17,7 +17,7 @@ from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.runtime.limited_log import LimitedLog
 
-MAX_SOURCES = 1000
+REMEMBERED_KEYS = 1000
 """Keys of messages whose sources are remembered; reading one anew does no harm."""
 MAX_KEY = 256
 """Longer than any key of a message, characters: such a one is not even remembered."""
@@ -48,7 +48,7 @@ class ZenohSubscriber:
         self._session = session
         self._placer = placer
         self._keys = keys
-        self._source_of = lru_cache(MAX_SOURCES)(keys.source_of)
+        self._source_of = lru_cache(REMEMBERED_KEYS)(keys.source_of)
         self._queue = queue
         self._receipts = receipts
         self._max_scan_bytes = max_scan_bytes(max_beams)

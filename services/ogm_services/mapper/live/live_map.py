@@ -31,7 +31,7 @@ LOOK_PERIOD = 0.05
 _GOOD_PART = 8
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
-PATIENCE = 3.0
+PATIENT_PERIOD = 3.0
 """Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
 
 _T = TypeVar("_T")
@@ -132,7 +132,7 @@ class LiveMap:
                 return self._current_snapshot(room)
 
     def info(self) -> MapInfo:
-        """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENCE."""
+        """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENT_PERIOD."""
         state = self._state
         return MapInfo(
             known_cells=self._figure(self._known_cells, self._known_cells_now, patient=True),
@@ -278,8 +278,8 @@ class LiveMap:
     ) -> _T:
         """The cached value, computed anew if the map or the world is another and it is FIGURES_PERIOD old.
 
-        Who is `patient` takes a value of up to PATIENCE, and does not wait while another one computes it,
-        unless all that is known is of before a reset.
+        Who is `patient` takes a value of up to PATIENT_PERIOD, and does not wait while another one computes
+        it, unless all that is known is of before a reset.
         """
         known, value = cached.identity, cached.value
         at_once = patient and known is not None and known.epoch == self.now.epoch
@@ -289,7 +289,7 @@ class LiveMap:
             identity = self.now
             new_life = cached.identity is None or cached.identity.epoch != identity.epoch
             changed = identity != cached.identity or world is not cached.world
-            old = time.monotonic() - cached.time >= (PATIENCE if patient else FIGURES_PERIOD)
+            old = time.monotonic() - cached.time >= (PATIENT_PERIOD if patient else FIGURES_PERIOD)
             if new_life or (old and changed):
                 cached.value = compute()
                 cached.identity, cached.world, cached.time = identity, world, time.monotonic()

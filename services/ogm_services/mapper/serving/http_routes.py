@@ -45,8 +45,6 @@ from ogm_services.replies.turns import Turns
 
 UNHEARD = "t"
 """Query parameter that viewers add, with a new value each time, lest a cache answers them."""
-MAX_WAITING = 256
-"""So many requests of a share may wait for their turn."""
 
 log = logging.getLogger(__name__)
 Handler = Callable[[Request], Awaitable[Response]]
@@ -95,7 +93,7 @@ def build_app(
     *,
     hosts: Sequence[str] = (),
     token: bytes | None = None,
-    shares: Shares | None = None,
+    shares: Shares,
     in_flight: InFlight | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
@@ -103,7 +101,6 @@ def build_app(
     `hosts` are names by which it is asked, besides the machine's own; with a `token` writes must carry it.
     Its threads are those of `shares`, which belong to the caller. `in_flight` counts what is being sent.
     """
-    shares = shares or Shares(MAX_WAITING)
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
         title="zenoh-ogm mapper",

@@ -1,6 +1,11 @@
 """Shares of a mapper's threads: what one kind of question takes, the others still have."""
 
-from ogm_services.replies.turns import MAX_WAITING, Turns
+from ogm_services.replies.turns import MAX_QUESTIONS, Turns
+
+HTTP_QUESTIONS = 256
+"""So many requests of a kind may wait for their turn."""
+ZENOH_QUESTIONS = MAX_QUESTIONS
+"""So many queries of a kind may."""
 
 
 class Shares:
@@ -10,7 +15,7 @@ class Shares:
     them, one for HTTP and one for Zenoh: so 16 maps are made at once at most, 8 for each.
     """
 
-    def __init__(self, waiting: int = MAX_WAITING) -> None:
+    def __init__(self, waiting: int) -> None:
         """Of each kind `waiting` questions may wait for a thread."""
         self.maps = Turns("maps", 8, waiting)
         """Maps, cells and figures: what may take long."""

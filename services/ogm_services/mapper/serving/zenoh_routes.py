@@ -31,8 +31,8 @@ class ZenohRoutes:
         self._declared = ExitStack()
         self._queryables = Queryables(session, in_flight)
 
-    def declare(self, answers: Answers, reset: Callable[[str], None]) -> None:
-        """Declare the queryables: from here on every question gets an answer."""
+    def declare(self, answers: Answers, reset: Callable[[str], None], shares: Shares) -> None:
+        """Declare the queryables: from here on every question gets an answer, by the threads of `shares`."""
 
         def map_answer(given: Parameters) -> Answer:
             return answers.map(given.get("format", "json"), {k: v for k, v in given.items() if k != "format"})
@@ -42,8 +42,6 @@ class ZenohRoutes:
             reset("somebody over Zenoh")
             return answers.status({})
 
-        shares = Shares()
-        self._declared.callback(shares.close)
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
         declare(key("map"), map_answer, shares.maps)
@@ -67,5 +65,5 @@ class ZenohRoutes:
         return list(islice((reply.ok.payload for reply in replies if reply.ok is not None), MAX_TOLD))
 
     def close(self) -> None:
-        """Undeclare everything; queries in hand are answered first, those that wait are refused."""
+        """Undeclare everything; who closes the shares sees to the queries that have come."""
         self._declared.close()
