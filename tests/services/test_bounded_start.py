@@ -16,7 +16,7 @@ CHILD = """
 import ctypes, threading
 from contextlib import suppress
 from ogm_services.cli import app
-from ogm_services.mapper import service
+from ogm_services.mapper import parts, service
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
@@ -38,7 +38,7 @@ def for_ever(*_):
 service.STOP_TIME = 0.5
 """
 PLACES = {
-    "restoring a map": "service.started_grid",
+    "restoring a map": "parts.started_grid",
     "connecting": "service.open_session",
     "looking for others": "OtherMappers.claim",
     "declaring": "ZenohRoutes.declare",

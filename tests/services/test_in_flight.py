@@ -186,7 +186,7 @@ def test_a_mapper_counts_over_http_and_zenoh_together(start_mapper, eventually):
         mapper.settle(received=1)
         body = mapper.http.get("/map.json").content
         assert len(body) > SMALL
-        held = mapper.service.in_flight
+        held = mapper.service.parts.in_flight
         assert (held.limit, held.held) == (MAX_IN_FLIGHT, 0)
         assert mapper.service.memory.held()["caches"] >= 2 * len(body)
         assert mapper.service.memory.limits()["answers"] == MAX_IN_FLIGHT
@@ -206,8 +206,8 @@ def test_no_answer_is_larger_than_what_max_memory_leaves(start_mapper, eventuall
         mapper.scan([30.0] * 60, pose=[0.0, 0.0, 0.0], range_max=40.0)
         mapper.settle(received=1)
         assert mapper.http.get("/map.json").status_code == 200
-        memory = mapper.service.memory
-        eventually(lambda: mapper.service.in_flight.held == 0)  # else there would be room for that answer
+        memory, held = mapper.service.memory, mapper.service.parts.in_flight
+        eventually(lambda: held.held == 0)  # else there would be room for that answer
         memory.limit = memory.total() - memory.held()["caches"] + SMALL  # what is kept is in no answer's way
         assert mapper.http.get("/map.json").status_code == 503
         assert mapper.http.get("/status").status_code == 200

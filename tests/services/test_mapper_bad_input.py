@@ -129,8 +129,9 @@ def test_what_is_too_long_for_its_kind_is_counted_and_not_even_copied(
 
     put = []
     with start_mapper(map={"resolution": 0.5}, mapper={"max_beams": 1000}) as mapper:
-        queue_put = mapper.service._queue.put
-        monkeypatch.setattr(mapper.service._queue, "put", lambda item: put.append(item) or queue_put(item))
+        queue = mapper.service.parts.queue
+        queue_put = queue.put
+        monkeypatch.setattr(queue, "put", lambda item: put.append(item) or queue_put(item))
         for longer in (0, 1, 5_000_000):
             mapper.put(
                 "robots/r/scan/s",

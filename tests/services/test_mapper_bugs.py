@@ -92,7 +92,7 @@ def test_a_bug_in_the_look_for_silent_robots_does_not_end_the_worker(
     start_mapper, monkeypatch, caplog, eventually
 ):
     with start_mapper(map={"resolution": 0.5}, mapper={"pose_wait": 0.2}) as mapper:
-        calls = fail_once(monkeypatch, mapper.service._worker._placer, "expire")
+        calls = fail_once(monkeypatch, mapper.service.parts.worker._placer, "expire")
         eventually(lambda: len(calls) > 2)
         assert mapper.http.get("/livez").status_code == 200
         assert mapper.draw_cross()["revision"] == 3
@@ -124,7 +124,7 @@ def test_a_thread_that_ends_by_itself_ends_the_mapper_with_its_map_written(tmp_p
         if stopped == "HTTP":
             service._http_thread._server.should_exit = True
         else:
-            service._queue.close()
+            service.parts.queue.close()
         wait(service)
 
     monkeypatch.setattr(MapperService, "wait", stop_and_wait)

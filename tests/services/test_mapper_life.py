@@ -169,8 +169,8 @@ def test_while_it_stops_it_is_not_ready_and_says_so(start_mapper, in_background,
     go_on = threading.Event()
     with start_mapper() as mapper:
         assert mapper.http.get("/readyz").text == "ok"
-        in_background(mapper.service._worker.do, lambda: go_on.wait(30.0))
-        eventually(lambda: not mapper.service._queue._items)
+        in_background(mapper.service.parts.worker.do, lambda: go_on.wait(30.0))
+        eventually(lambda: not mapper.service.parts.queue._items)
         ended = in_background(mapper.service.__exit__, None, None, None)
         try:
             answer = eventually(lambda: (a := mapper.http.get("/readyz")).status_code == 503 and a)
@@ -211,7 +211,7 @@ def test_a_mapper_that_falls_behind_is_not_ready(start_mapper, monkeypatch, even
 
 def test_a_worker_that_has_ended_is_not_alive(mapper):
     assert mapper.http.get("/livez").text == "ok"
-    mapper.service._worker.stop()
+    mapper.service.parts.worker.stop()
     assert mapper.http.get("/livez").status_code == 503
     assert mapper.http.get("/readyz").status_code == 503
     assert problem(mapper.http.post("/reset")) == (503, "unavailable")
@@ -224,7 +224,7 @@ def test_a_command_that_fails_is_told_to_its_caller_and_harms_nobody_else(mapper
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        mapper.service._worker.do(fail)
+        mapper.service.parts.worker.do(fail)
     assert mapper.draw_cross()["revision"] == 3
     assert [record.getMessage() for record in caplog.records] == ["a command failed"]
     caplog.clear()
@@ -232,9 +232,10 @@ def test_a_command_that_fails_is_told_to_its_caller_and_harms_nobody_else(mapper
 
 def test_a_reset_that_waits_does_not_hold_up_the_end(start_mapper, in_background, eventually):
     with start_mapper() as mapper:
-        in_background(mapper.service._worker.do, lambda: eventually(lambda: mapper.service._queue.closed))
+        parts = mapper.service.parts
+        in_background(parts.worker.do, lambda: eventually(lambda: parts.queue.closed))
         replies = [in_background(mapper.http.post, "/reset"), in_background(mapper.ask, "reset")]
-        eventually(lambda: len(mapper.service._queue._items) == 2)
+        eventually(lambda: len(parts.queue._items) == 2)
         started = time.monotonic()
         mapper.service.__exit__(None, None, None)
         assert time.monotonic() - started < 20.0  # far less than the 30 s that a reset may wait for its turn

@@ -145,7 +145,7 @@ def blocked(start_mapper, no_errors, in_background):
     release = threading.Event()
     with start_mapper(map={"resolution": 0.5}, mapper={"queue": 8, "pose_wait": 0.2}) as mapper:
         waits = threading.Event()
-        in_background(mapper.service._worker.do, lambda: waits.set() or release.wait(30.0))
+        in_background(mapper.service.parts.worker.do, lambda: waits.set() or release.wait(30.0))
         assert waits.wait(30.0)
         try:
             yield mapper, release

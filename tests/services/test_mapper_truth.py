@@ -112,7 +112,7 @@ def test_of_two_simulators_one_counts(mapper, eventually):
         eventually(lambda: quality(mapper)["truth"] == expected[1])
         simulator(other, telling(told[0]))
         eventually(lambda: quality(mapper)["truth"] == expected[0])
-        heard = mapper.service._monitor.truth._read
+        heard = mapper.service.parts.monitor.truth._read
         assert [text.decode() for text in heard] == told
     eventually(lambda: quality(mapper)["truth"] == expected[1])
 
@@ -126,7 +126,7 @@ def test_so_many_answers_are_looked_at_whoever_gives_them(mapper, eventually, mo
                 query.reply("ogm/v1/hall/truth", f"{{{k}: 0}}")
 
     simulator(mapper.session, talk)
-    eventually(lambda: len(mapper.service._monitor.truth._read) == 2)
+    eventually(lambda: len(mapper.service.parts.monitor.truth._read) == 2)
 
 
 def test_a_simulator_that_does_not_answer_holds_nobody_up(start_mapper, eventually, monkeypatch):

@@ -152,7 +152,7 @@ def test_as_fast_as_it_goes_it_never_fills_the_queue(
         integrate = mapper.service.live_map.integrate
 
         def slowly(*placed):
-            waited.append((mapper.service._queue.scans, mapper.service._queue.bytes))
+            waited.append((mapper.service.parts.queue.scans, mapper.service.parts.queue.bytes))
             if len(waited) % 500 == 1:
                 time.sleep(0.3)
             return integrate(*placed)

@@ -92,7 +92,7 @@ def test_over_zenoh_the_status_is_answered_while_others_take_every_other_thread(
 
 def test_writes_that_wait_for_the_worker_hold_up_neither(mapper, eventually, monkeypatch, in_background):
     go_on = threading.Event()
-    monkeypatch.setattr(mapper.service._worker, "do", lambda _: go_on.wait(DEADLINE))
+    monkeypatch.setattr(mapper.service.parts.worker, "do", lambda _: go_on.wait(DEADLINE))
     url = f"{mapper.http.base_url}reset"
     writing = [in_background(httpx.post, url, timeout=DEADLINE) for _ in range(10)]
     eventually(lambda: mapper.service._http_shares.writes._working == 2)

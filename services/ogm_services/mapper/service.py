@@ -21,43 +21,20 @@ import typer
 from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import MapEmpty, OgmError
 from ogm_core.grid_settings import GridSettings
-from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ScanPlacer
-from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.placing.waiting import WaitingLimits
-from ogm_core.quality.figures import hints_by
-from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.wire.keys import MapKeys
-from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK, ScanQueue
-from ogm_services.mapper.intake.work import FIRST_RATE, ScanSizes
-from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
-from ogm_services.mapper.live.live_map import LiveMap
-from ogm_services.mapper.live.load import FallingBehind
-from ogm_services.mapper.live.monitor import Monitor
-from ogm_services.mapper.live.presence import RobotPresence
-from ogm_services.mapper.live.start_map import started_grid
-from ogm_services.mapper.live.timed_sink import TimedSink
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
-from ogm_services.mapper.live.watch import Watch
-from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.parts import Parts
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
-from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
-from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.other_mappers import OtherMappers
-from ogm_services.mapper.serving.shares import HTTP_QUESTIONS, ZENOH_QUESTIONS, Shares
+from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
-from ogm_services.replies.in_flight import MAX_IN_FLIGHT, InFlight
 from ogm_services.results.map_folder import check_folder, write_map, write_quality
 from ogm_services.runtime.bounded_close import close_within
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
-from ogm_services.runtime.limited_log import LimitedLog
-from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
@@ -69,10 +46,6 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
-WAITING_BYTES = 256 * MEBIBYTE
-"""What scans may hold that wait for poses, of all robots."""
-ROBOTS_BYTES = 256 * MEBIBYTE
-"""What robots' poses, and the seqs and runs of their scans, may hold: at 50,000 poses a second half of it."""
 STOP_TIME = 10.0
 """How long a mapper may take to stop, s."""
 WORKER_TIME = 2.0
@@ -186,72 +159,11 @@ class MapperService:
     """
 
     def __init__(self, settings: Settings) -> None:
-        grid = started_grid(settings, uuid.uuid4().hex)
-        limits = settings.mapper
         self._settings = settings
+        self.parts = parts = Parts(settings)
         self._token = settings.http.write_token()
-        self._grid_settings = grid.settings
-        self.memory = MemoryUse(limits.max_memory)
-        self.live_map = LiveMap(grid, self.memory)
-        sizes = ScanSizes(grid.settings, SensorRules(settings.sensor_rules()))
-        receipts = Receipts()
-        queue = ScanQueue(limits.queue, sizes.cells, self.memory.share(MAX_BYTES))
-        hints = hints_by(self.live_map.snapshot, grid.settings)
-        complain = LimitedLog(log).of_kind
-        self._metrics = Metrics(
-            partial(queue_metrics, queue),
-            partial(memory_metrics, self.memory),
-            lambda: ready_metric(self._health),
-        )
-        measured = self._metrics.measurements
-        share, robots_share = map(self.memory.share, (WAITING_BYTES, ROBOTS_BYTES))
-        placer = ScanPlacer(
-            *(
-                TimedSink(self.live_map, measured.integration.observe),
-                receipts,
-                complain,
-                settings.placing_rules(),
-            ),
-            hints=hints,
-            integrated=measured.scan_integrated,
-            limits=WaitingLimits(share, MAX_WORK / FIRST_RATE, ScanSize(grid.settings).at_most),
-            stopping=lambda: queue.closed,
-            robots_limit=robots_share,
-        )
-        self.memory.add("queue", lambda: queue.bytes, queue.max_bytes)
-        self.memory.add("waiting", lambda: placer.waiting_bytes, share)
-        self.memory.add("robots", lambda: placer.robots_bytes, robots_share)
-        self._queue, self._receipts, self._placer = queue, receipts, placer
-        self._overload = Overload(queue, receipts)
-        self._worker = Worker(
-            *(queue, placer, receipts),
-            max_beams=limits.max_beams,
-            overload=self._overload,
-            sensors=SensorRules(settings.sensor_rules()),
-        )
-        self._monitor = Monitor(self.live_map)
-        falling_behind = FallingBehind(lambda: queue.work, MAX_WORK)
-        self._watch = Watch([RobotPresence(receipts.presence).look, falling_behind.look])
-        self._stopping = threading.Event()
-        self._health = Health(
-            alive=lambda: self._worker.alive or not self.was_ready or self._stopping.is_set(),
-            reasons=[
-                lambda: None if self.was_ready else "the mapper is still starting",
-                lambda: "the mapper is stopping" if self._stopping.is_set() else None,
-                falling_behind.reason,
-                lambda: "; ".join(self._others.reasons()) or None,
-            ],
-        )
+        self.live_map, self.answers, self.memory = parts.live_map, parts.answers, parts.memory
         self._started = time.monotonic()
-        self._ready = threading.Event()
-        memory = self.memory
-        self.in_flight = InFlight(memory.share(MAX_IN_FLIGHT), memory.left, memory.make_room)
-        self.answers = Answers(
-            *(settings.network.map_name, self.live_map, receipts, self._monitor, self._ready.is_set),
-            memory=memory,
-            in_flight=self.in_flight,
-        )
-        memory.add("answers", lambda: self.in_flight.held, self.in_flight.limit)
         self._open = ExitStack()
         self.addresses: list[str] = []
 
@@ -264,27 +176,27 @@ class MapperService:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
+        self.parts.stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
         self.live_map.stop()  # else whoever has asked for figures would keep HTTP and Zenoh from ending
         held_by = close_within(STOP_TIME, self._open.close)
         if held_by is not None:
-            self._worker.stop(WORKER_TIME)
+            self.parts.worker.stop(WORKER_TIME)
             raise _not_stopped(held_by)
 
     @property
     def stopping(self) -> bool:
         """Whether it has started, and stops."""
-        return self._stopping.is_set()
+        return self.parts.stopping.is_set()
 
     @property
     def working(self) -> bool:
         """Whether the worker runs, which alone writes the map."""
-        return self._worker.alive
+        return self.parts.worker.alive
 
     @property
     def was_ready(self) -> bool:
         """Whether it ever got as far as taking scans."""
-        return self._ready.is_set()
+        return self.parts.ready.is_set()
 
     def wait(self) -> None:
         """Sleep until KeyboardInterrupt.
@@ -294,7 +206,7 @@ class MapperService:
         """
         # Signals may be handed to any thread; Python sees to them when the main thread wakes up.
         while not threading.Event().wait(WAKE_PERIOD):
-            for name, alive in (("the worker", self._worker.alive), ("HTTP", self._http_thread.alive)):
+            for name, alive in (("the worker", self.parts.worker.alive), ("HTTP", self._http_thread.alive)):
                 if not alive:
                     raise ServiceStopped(f"{name} has stopped by itself, so the mapper ends: start it again")
 
@@ -307,11 +219,11 @@ class MapperService:
             self.live_map.reset(epoch)
             reset_log.info("%s has reset the map: epoch %s", who, epoch)
 
-        self._worker.do(empty)
+        self.parts.worker.do(empty)
 
     def totals(self) -> str:
         """What became of the scans, and how long that took, in words."""
-        scans, seconds = self._receipts.status().scans, time.monotonic() - self._started
+        scans, seconds = self.parts.receipts.status().scans, time.monotonic() - self._started
         dropped = ", ".join(f"{count} {reason}" for reason, count in scans.dropped.items() if count)
         return (
             f"{scans.received} scans received, {scans.integrated} integrated, {scans.pending} pending, "
@@ -319,36 +231,39 @@ class MapperService:
         )
 
     def _start(self, opening: ExitStack) -> None:
+        """Open the network and start the threads; `opening` ends them in the opposite order."""
         network = self._settings.network
         listener = opening.enter_context(bound_socket(self._settings.http.host, self._settings.http.port))
         wanted = network.for_mapper()
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
         keys = MapKeys(network.map_name)
-        rest = RestOfWarmUp(self._grid_settings)
+        rest = RestOfWarmUp(self.parts.grid_settings)
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
-        self._others = others = OtherMappers(session, keys)
+        others = OtherMappers(session, keys)
+        self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
-        self._http_shares = _shares(opening, HTTP_QUESTIONS)
-        zenoh_shares = _shares(opening, ZENOH_QUESTIONS)
-        routes = ZenohRoutes(session, keys, self.in_flight)
+        self._http_shares = _shares(opening, self.parts.limits.http_questions)
+        zenoh_shares = _shares(opening, self.parts.limits.zenoh_questions)
+        routes = ZenohRoutes(session, keys, self.parts.in_flight)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
-            *(session, keys, self._queue, self._receipts, self._placer),
-            max_beams=self._settings.mapper.max_beams,
-            overload=self._overload,
+            *(session, keys, self.parts.queue, self.parts.receipts, self.parts.placer),
+            max_beams=self.parts.limits.beams,
+            overload=self.parts.overload,
         )
         opening.callback(subscriber.close)
         others.claim()
         opening.enter_context(self._http(listener))
         routes.declare(self.answers, self.reset, zenoh_shares)
-        _warm_up(self._grid_settings)
+        _warm_up(self.parts.grid_settings)
         others.serve()
-        self._worker.start()
-        opening.callback(self._worker.stop)
+        # From here on the map changes: what is to outlive the worker, and see its last change, opens before.
+        self.parts.worker.start()
+        opening.callback(self.parts.worker.stop)
         subscriber.declare()
-        opening.callback(self._monitor.stop)
-        self._monitor.start(routes.ask_truth)
+        opening.callback(self.parts.monitor.stop)
+        self.parts.monitor.start(routes.ask_truth)
         host, port = listener.getsockname()[:2]
         if self._token is None and not ipaddress.ip_address(host).is_loopback:
             log.warning(
@@ -360,22 +275,22 @@ class MapperService:
             f"map      {network.map_name} on Zenoh at {zenoh_addresses}",
             f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
         ]
-        self._ready.set()
-        opening.callback(self._watch.stop)
-        self._watch.start()
+        self.parts.ready.set()
+        opening.callback(self.parts.watch.stop)
+        self.parts.watch.start()
         opening.callback(rest.make_way)
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
         http = self._settings.http
         app = build_app(
-            *(self.answers, self._health, self.reset, self._metrics),
+            *(self.answers, self.parts.health, self.reset, self.parts.metrics),
             hosts=(*http.hosts, http.host),
             token=self._token,
             shares=self._http_shares,
-            in_flight=self.in_flight,
+            in_flight=self.parts.in_flight,
         )
-        self._http_thread = HttpThread(app, listener, closed=self._metrics.measurements.http_closed)
+        self._http_thread = HttpThread(app, listener, closed=self.parts.metrics.measurements.http_closed)
         return self._http_thread
 
 

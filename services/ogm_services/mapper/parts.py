@@ -1,0 +1,138 @@
+"""Parts of a mapper: everything that it is made of before it is on the network, and how they are joined.
+
+A scan's way: `ZenohSubscriber` (the service adds it), `queue`, `worker`, `placer`, `live_map`, `answers`.
+Each part is given the next one on that way, so they are made from the map outwards.
+"""
+
+import logging
+import threading
+import uuid
+from collections.abc import Callable
+from functools import partial
+
+from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.placing.waiting import WaitingLimits
+from ogm_core.quality.figures import hints_by
+from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_services.mapper.intake.overload import Overload
+from ogm_services.mapper.intake.queue import ScanQueue
+from ogm_services.mapper.intake.work import ScanSizes
+from ogm_services.mapper.intake.worker import Worker
+from ogm_services.mapper.limits import Limits
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.load import FallingBehind
+from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.live.presence import RobotPresence
+from ogm_services.mapper.live.start_map import started_grid
+from ogm_services.mapper.live.timed_sink import TimedSink
+from ogm_services.mapper.live.watch import Watch
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
+from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.replies.in_flight import InFlight
+from ogm_services.runtime.limited_log import LimitedLog
+from ogm_services.runtime.memory import MemoryUse
+from ogm_services.settings.settings import Settings
+
+log = logging.getLogger(__name__)
+
+
+class Parts:
+    """Made in the order of the methods below; each attribute says which thread it belongs to.
+
+    No thread runs yet, and nothing is open: the service starts them, and closes them in the opposite order.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.ready = threading.Event()
+        """Set by the service: it has got as far as taking scans."""
+        self.stopping = threading.Event()
+        """Set by the service: it has begun to stop."""
+        self.memory = MemoryUse(settings.mapper.max_memory)
+        """What all parts hold together; any thread."""
+        self.limits = Limits.of(settings.mapper, self.memory)
+        self.receipts = Receipts()
+        """What became of every message; any thread."""
+        self._make_map(settings)
+        self._make_intake(settings)
+        self._make_watch()
+        self._make_answers(settings)
+
+    def _make_map(self, settings: Settings) -> None:
+        """The map, as it is when the mapper starts."""
+        grid = started_grid(settings, uuid.uuid4().hex)
+        self.grid_settings: GridSettings = grid.settings
+        self.live_map = LiveMap(grid, self.memory)
+        """The worker writes it, any thread reads it."""
+
+    def _make_intake(self, settings: Settings) -> None:
+        """What a message passes on its way into the map."""
+        limits, grid_settings = self.limits, self.grid_settings
+        sizes = ScanSizes(grid_settings, SensorRules(settings.sensor_rules()))
+        self.queue = queue = ScanQueue(limits.queue_scans, sizes.cells, limits.queue_bytes)
+        """Zenoh's threads put, the worker takes."""
+        self.metrics = Metrics(
+            partial(queue_metrics, queue),
+            partial(memory_metrics, self.memory),
+            lambda: ready_metric(self.health),
+        )
+        """Any thread."""
+        measured = self.metrics.measurements
+        sink = TimedSink(self.live_map, measured.integration.observe)
+        self.placer = placer = ScanPlacer(
+            *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
+            hints=hints_by(self.live_map.snapshot, grid_settings),
+            integrated=measured.scan_integrated,
+            limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
+            stopping=lambda: queue.closed,
+            robots_limit=limits.robots_bytes,
+        )
+        """The worker's."""
+        self.memory.add("queue", lambda: queue.bytes, limits.queue_bytes)
+        self.memory.add("waiting", lambda: placer.waiting_bytes, limits.waiting_bytes)
+        self.memory.add("robots", lambda: placer.robots_bytes, limits.robots_bytes)
+        self.overload = Overload(queue, self.receipts)
+        """Any thread."""
+        self.worker = Worker(
+            *(queue, placer, self.receipts),
+            max_beams=limits.beams,
+            overload=self.overload,
+            sensors=SensorRules(settings.sensor_rules()),  # of its own: the sizes are another thread's
+        )
+        """A thread, which alone writes the map."""
+
+    def _make_watch(self) -> None:
+        """What looks at the mapper while it works."""
+        self.monitor = Monitor(self.live_map)
+        """A thread: how the map settles, and the true world."""
+        falling_behind = FallingBehind(lambda: self.queue.work, self.limits.queue_work)
+        self.watch = Watch([RobotPresence(self.receipts.presence).look, falling_behind.look])
+        """A thread: what an operator is told of."""
+        self.reasons: list[Callable[[], str | None]] = [
+            lambda: None if self.ready.is_set() else "the mapper is still starting",
+            lambda: "the mapper is stopping" if self.stopping.is_set() else None,
+            falling_behind.reason,
+        ]
+        """Each tells why the mapper should get no scans now, or None; the service adds other mappers'."""
+        self.health = Health(
+            alive=lambda: self.worker.alive or not self.ready.is_set() or self.stopping.is_set(),
+            reasons=self.reasons,
+        )
+        """Any thread."""
+
+    def _make_answers(self, settings: Settings) -> None:
+        """What is answered, over HTTP and Zenoh alike."""
+        memory = self.memory
+        self.in_flight = in_flight = InFlight(self.limits.answer_bytes, memory.left, memory.make_room)
+        """Any thread."""
+        self.answers = Answers(
+            *(settings.network.map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set),
+            memory=memory,
+            in_flight=in_flight,
+        )
+        """The threads of the shares ask."""
+        memory.add("answers", lambda: in_flight.held, in_flight.limit)
