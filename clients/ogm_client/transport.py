@@ -6,13 +6,14 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 
 from ogm_client.errors import BadReply, MapperError
 from ogm_core import errors
+from ogm_core.units import MEBIBYTE
 
 NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quality", "status")
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
 
 Parameters = Mapping[str, str]
 
-MAX_FIGURES_BYTES = 16 * 1024**2
+MAX_FIGURES_BYTES = 16 * MEBIBYTE
 """The longest status, figures of quality or cell, bytes: a thousand robots' status is half of it."""
 MAX_PROBLEM_BYTES = 64 * 1024
 """The longest error reply, bytes."""

@@ -15,6 +15,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.units import MEBIBYTE
+
 UNREADABLE = (
     *(zipfile.BadZipFile, zlib.error, struct.error, LookupError, ValueError, TypeError, ArithmeticError),
     *(EOFError, OSError, RuntimeError, MemoryError, AttributeError),
@@ -25,7 +27,7 @@ _HEADER = re.compile(
     rb"\{'descr': '(?P<dtype>[<>|][a-zA-Z]\d{0,4})', 'fortran_order': (?P<fortran>True|False), "
     rb"'shape': \((?P<shape>[\d, ]{0,100})\), \} *\n"
 )
-_PIECE = 1024**2
+_PIECE = MEBIBYTE
 """So many bytes are unpacked at once."""
 _MAX_RATIO = 1100
 """Deflate packs 1032 bytes into one, and no more."""

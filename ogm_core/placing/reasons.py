@@ -7,6 +7,7 @@ from typing import NamedTuple
 from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS, MAX_WAITING_SCANS, WAITING_NS
 from ogm_core.placing.source import REPEATS_IN_A_ROW
 from ogm_core.types import Pose, shorter_arc
+from ogm_core.units import MEBIBYTE
 
 
 class Reason(NamedTuple):
@@ -85,7 +86,7 @@ def no_room(share: float) -> Reason:
     return Reason(
         "no room",
         f"no pose has come for it yet, and scans that wait for poses hold their share of memory, "
-        f"{share / 1024**2:.3g} MiB, those of this robot the most of it: {_RATE}",
+        f"{share / MEBIBYTE:.3g} MiB, those of this robot the most of it: {_RATE}",
     )
 
 
@@ -93,7 +94,7 @@ def holds_the_most(share: float, what: str) -> Reason:
     """What robots hold is too much, and one of them holds the most of it."""
     return Reason(
         "holds the most",
-        f"poses, runs and seqs of all robots hold their share of memory, {share / 1024**2:.3g} MiB, those of "
+        f"poses, runs and seqs of all robots hold their share of memory, {share / MEBIBYTE:.3g} MiB, those of "
         f"this robot the most of it: {what}. Do its stamps rise by 60 s a minute, and its seqs by one a "
         "message?",
     )

@@ -8,8 +8,9 @@ from ogm_core.files.strict_yaml import read_text
 from ogm_core.simulation.office import PLAN
 from ogm_core.simulation.trajectories import Point
 from ogm_core.simulation.worlds import World, fields_of, lab, load_world
+from ogm_core.units import MEBIBYTE
 
-MAX_WORLD_BYTES = 4 * 1024**2
+MAX_WORLD_BYTES = 4 * MEBIBYTE
 """A longer file is not read; that of a warehouse, wall by wall, is an eighth of it."""
 
 

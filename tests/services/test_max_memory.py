@@ -13,12 +13,13 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.types import Pose, Scan
+from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.live import live_map
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
+from ogm_services.runtime.memory import MemoryUse
 
 TILE = 64 * 64 * 2
 """Bytes of a tile of int16 cells."""

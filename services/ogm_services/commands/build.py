@@ -24,6 +24,7 @@ from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_core.units import MEBIBYTE
 from ogm_services.commands.log_feed import LogFeed, LogSink
 from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
@@ -31,7 +32,7 @@ from ogm_services.results.map_folder import check_place, write_map
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
-MAX_KEPT = 256 * 1024**2
+MAX_KEPT = 256 * MEBIBYTE
 """Bytes of scans that are kept to be judged; a log with more of them is read again."""
 _SCAN_BYTES = 1000
 """What a scan takes beside its arrays, about."""

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ogm_core.types import Scan
+from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 
 MAX_AHEAD = 64
 """Scans of one source that may be sent beyond the last that the mapper has taken."""
 MAX_SCANS = 1024
 """The same of all sources: a quarter of what may wait there unless it was told another `mapper.queue`."""
-MAX_BYTES = 32 * 1024**2
+MAX_BYTES = 32 * MEBIBYTE
 """An eighth of the bytes that may wait there."""
 MAX_CELLS = 1e8
 """Cells that take a slow machine a second: a fifth of the work that may wait there."""

@@ -5,9 +5,10 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from ogm_core.units import MEBIBYTE
 from ogm_services.replies.answer import Busy
 
-MAX_IN_FLIGHT = 256 * 1024**2
+MAX_IN_FLIGHT = 256 * MEBIBYTE
 """Bytes of all answers that are being made and sent; one alone may be larger."""
 SMALL = 64 * 1024
 """Bodies up to this are not counted: as many of them as there are connections are little."""
@@ -100,4 +101,4 @@ class InFlight:
 
 
 def _mebibytes(size: int) -> str:
-    return f"{size / 1024**2:.0f} MiB"
+    return f"{size / MEBIBYTE:.0f} MiB"

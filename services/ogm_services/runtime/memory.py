@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-MEBIBYTE = 1024**2
+from ogm_core.units import MEBIBYTE
+
 _PARTS = 16
 """A store with a share of its own gets no more than this part of all memory: several of them must fit."""
 

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
 
+from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.largest import Largest
 from ogm_services.mapper.intake.work import CellRate
 
-MAX_BYTES = 256 * 1024**2
+MAX_BYTES = 256 * MEBIBYTE
 """Payload that may wait, whatever the number of scans, unless there is less memory."""
 MAX_WORK = 5.0
 """Work that may wait, by what the cells of each robot's scans have taken so far, s."""
@@ -23,7 +24,7 @@ BEHIND = 1.0
 """Once a message has waited for so long, s, it is looked at how large the scans are that wait."""
 LOOKS = 64
 """So many scans, or LOOKS_BYTES of them, are looked at in one go."""
-LOOKS_BYTES = 4 * 1024**2
+LOOKS_BYTES = 4 * MEBIBYTE
 MAX_RATES = 2000
 """Robots whose rates are remembered; one that is forgotten is measured anew."""
 

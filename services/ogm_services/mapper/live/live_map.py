@@ -19,8 +19,9 @@ from ogm_core.status import MapInfo
 from ogm_core.tiles.copies import Tiles
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
+from ogm_core.units import MEBIBYTE
 from ogm_services.replies.answer import Unavailable
-from ogm_services.runtime.memory import MEBIBYTE, MemoryUse
+from ogm_services.runtime.memory import MemoryUse
 
 RECENT_SCANS = 100
 """The live consistency is that of so many newest scans."""

@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
+from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.live.live_map import Identity
 from ogm_services.replies.answer import Answer
 
-CACHE_BYTES = 64 * 1024**2
+CACHE_BYTES = 64 * MEBIBYTE
 """Encoded maps of the current revision that are kept, unless there is less memory."""
 BYTES_BESIDES = 4096
 """What an answer that is kept takes besides its body and what was asked, at most."""

@@ -14,11 +14,12 @@ import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
+from ogm_core.units import MEBIBYTE
 from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 
 LINGER = 2.0
 """How long a refused client may take to read why, s: closing a socket with unread bytes loses the answer."""
-MAX_DISCARDED = 1 << 20
+MAX_DISCARDED = MEBIBYTE
 """Bytes that a refused client may go on to send until it is cut off."""
 MAX_PIPELINED = 16
 """Requests of one connection that may wait for the answers to those before them."""
