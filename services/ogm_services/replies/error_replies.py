@@ -1,4 +1,7 @@
-"""Error replies to queries, sent by a thread of their own: a link that stands still blocks its senders."""
+"""Error replies to queries, sent by a thread of their own: a link that stands still blocks its senders.
+
+Its own are that thread and its bounds; the body is that of `replies/problems.py`.
+"""
 
 import logging
 import queue

@@ -1,4 +1,9 @@
-"""Problem details (RFC 9457): how errors are told, the same over HTTP and in Zenoh error replies."""
+"""Problem details (RFC 9457): how errors are told, the same over HTTP and in Zenoh error replies.
+
+The one place where their bodies are made. What brings a body to who has asked is each way's own: the headers
+of a response in `mapper/serving/refusals.py`, the bytes of one below the application in `http_connection.py`,
+a thread that may wait for links in `replies/error_replies.py`.
+"""
 
 import http
 import json

@@ -1,4 +1,7 @@
-"""Refusals over HTTP: the response to an error that was raised on purpose."""
+"""Refusals over HTTP: the response to an error that was raised on purpose.
+
+Its own are the headers that Zenoh has none of; the body is that of `replies/problems.py`.
+"""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,7 @@
-"""Requests over HTTP that are refused because of who asks: an operator sees them in the log."""
+"""Requests over HTTP that are refused because of who asks: an operator sees them in the log.
+
+It refuses nothing itself: it looks at the answers of those that do, and only there is who has asked known.
+"""
 
 import logging
 
