@@ -26,10 +26,10 @@ def test_the_limit():
 
 
 def test_bodies_count_until_they_are_sent_and_past_the_limit_none_is():
-    in_flight = InFlight(10 * MIB)
+    in_flight = InFlight(12 * MIB)
     with in_flight.sending(bytes(4 * MIB)), in_flight.sending(bytes(4 * MIB)):
         assert in_flight.held == 8 * MIB + 2 * BUFFERED
-        with pytest.raises(Busy, match=r"answers of 8 MiB are being made or sent, and this one has 3 MiB"):
+        with pytest.raises(Busy, match=r"answers of 10 MiB are being made or sent, and this one has 3 MiB"):
             in_flight.sending(bytes(3 * MIB)).__enter__()
         with in_flight.sending(bytes(1 * MIB)):
             pass
@@ -37,7 +37,7 @@ def test_bodies_count_until_they_are_sent_and_past_the_limit_none_is():
 
 
 def test_a_body_that_is_sent_to_many_counts_once():
-    in_flight, body = InFlight(10 * MIB), bytes(6 * MIB)
+    in_flight, body = InFlight(14 * MIB), bytes(6 * MIB)
     with ExitStack() as readers:
         for k in range(8):
             readers.enter_context(in_flight.sending(body))
@@ -83,6 +83,13 @@ def test_small_bodies_are_always_sent_and_not_counted():
     in_flight = InFlight(MIB)
     with in_flight.sending(bytes(MIB)), in_flight.sending(bytes(SMALL)):
         assert in_flight.held == MIB + BUFFERED
+
+
+def test_a_short_body_is_on_its_way_once_more_at_most():
+    in_flight = InFlight()
+    with in_flight.sending(bytes(2 * SMALL)), in_flight.sending(bytes(3 * SMALL)):
+        assert in_flight.held == 10 * SMALL
+    assert in_flight.held == 0
 
 
 def test_what_ends_by_an_error_is_gone_too():
@@ -174,7 +181,7 @@ def test_many_slow_readers_of_one_body_hold_it_once(server, eventually):
                 clients.enter_context(server.stalled("/kept"))
             eventually(lambda: server.in_flight.held == 8 * MIB + 30 * BUFFERED)
             held, _ = tracemalloc.get_traced_memory()
-            assert held < 60 * (BUFFERED + PIECE)  # 30 copies are ten times that
+            assert held < 8 * MIB + 30 * (BUFFERED + PIECE)  # 30 copies are five times that
         eventually(lambda: server.in_flight.held == 0)
     finally:
         tracemalloc.stop()

@@ -31,7 +31,7 @@ class Kind:
 
 KINDS = {
     "honest": Kind(Lidar.lab(), 220, sends_poses=True),
-    "flood": Kind(Lidar(beams=1081, fov=4.712, range_max=30.0), 64, sensors=SENSORS),
+    "flood": Kind(Lidar(beams=8000, fov=4.712, range_max=30.0), 64, sensors=SENSORS),
     "heavy": Kind(Lidar(beams=200_000, fov=6.28, range_max=100.0), 1),
 }
 

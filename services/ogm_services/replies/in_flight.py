@@ -12,8 +12,8 @@ MAX_IN_FLIGHT = 256 * MEBIBYTE
 """Bytes of all answers that are being made and sent; one alone may be larger."""
 SMALL = 64 * 1024
 """Bodies up to this are not counted: as many of them as there are connections are little."""
-BUFFERED = 256 * 1024
-"""What the way to one reader holds besides the body, at most, bytes."""
+BUFFERED = MEBIBYTE
+"""What the way to one reader holds besides the body, at most, bytes; of a smaller body no more than that."""
 
 
 class InFlight:
@@ -80,7 +80,7 @@ class InFlight:
 
     def _begin(self, body: bytes) -> None:
         readers = self._readers.get(id(body), 0)
-        self._take(BUFFERED + (0 if readers else len(body)), f"this one has {_mebibytes(len(body))}")
+        self._take(_on_the_way(body) + (0 if readers else len(body)), f"this one has {_mebibytes(len(body))}")
         self._readers[id(body)] = readers + 1
 
     def _take(self, size: int, this_one: str) -> None:
@@ -97,7 +97,11 @@ class InFlight:
         readers = self._readers.pop(id(body)) - 1
         if readers:
             self._readers[id(body)] = readers
-        self._held -= BUFFERED + (0 if readers else len(body))
+        self._held -= _on_the_way(body) + (0 if readers else len(body))
+
+
+def _on_the_way(body: bytes) -> int:
+    return min(len(body), BUFFERED)
 
 
 def _mebibytes(size: int) -> str:

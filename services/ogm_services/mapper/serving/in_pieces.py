@@ -60,11 +60,8 @@ class InPieces:
 
 def _pieces(message: Message) -> Iterator[Message]:
     """A body's message in pieces; the server takes the empty one at the end when all others have gone."""
-    body = memoryview(message["body"])
+    body = message["body"]
     for first in range(0, len(body), PIECE):
-        yield {
-            "type": "http.response.body",
-            "body": bytes(body[first : first + PIECE]),
-            "more_body": True,
-        }
+        piece = body if len(body) <= PIECE else bytes(memoryview(body)[first : first + PIECE])
+        yield {"type": "http.response.body", "body": piece, "more_body": True}
     yield {**message, "body": b""}
