@@ -94,8 +94,8 @@ def holds_the_most(share: float, what: str) -> Reason:
     """What robots hold is too much, and one of them holds the most of it."""
     return Reason(
         "holds the most",
-        f"poses, runs and seqs of all robots hold their share of memory, {share / MEBIBYTE:.3g} MiB, those of "
-        f"this robot the most of it: {what}. Do its stamps rise by 60 s a minute, and its seqs by one a "
+        f"poses, runs and seqs of all robots hold their share of memory, {share / MEBIBYTE:.3g} MiB, those "
+        f"of this robot the most of it: {what}. Do its stamps rise by 60 s a minute, and its seqs by one a "
         "message?",
     )
 
