@@ -64,10 +64,11 @@ class _Robot:
         if now is not None and (self.seen is None or now > self.seen):
             self.seen = now
 
-    def heard_at(self, now: float | None) -> None:
-        if now is not None and (self.heard is None or now > self.heard):
+    def heard_at(self, now: float) -> None:
+        if self.heard is None or now > self.heard:
             self.heard = now
-        self.seen_at(now)
+        if self.seen is None or now > self.seen:
+            self.seen = now
 
     def gone(self, now: float) -> bool:
         if self.runs_alive or self.seen is None:
@@ -125,7 +126,8 @@ class Receipts:
             if entry is None or (sensor not in entry.sensors and len(entry.sensors) >= MAX_SENSORS):
                 self._scans.dropped["refused"] += 1
                 return False
-            entry.sensors.setdefault(sensor, _Sensor())
+            if sensor not in entry.sensors:
+                entry.sensors[sensor] = _Sensor()
             self._changing(robot, sensor).received += 1
             return True
 
@@ -227,8 +229,8 @@ class Receipts:
 
     def _heard(self, robot: str, now: float | None) -> _Robot | None:
         """Note that a message of a robot has arrived; None if it is one robot too many."""
-        entry = self._admitted(robot, now)
-        if entry is not None:
+        entry = self._robots.get(robot) or self._admitted(robot, now)
+        if entry is not None and now is not None:
             entry.heard_at(now)
         return entry
 
