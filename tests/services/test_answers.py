@@ -281,7 +281,7 @@ def test_who_comes_while_a_map_is_encoded_shares_the_next(desk, monkeypatch, eve
     go_on.set()
     for thread in threads:
         thread.join(30.0)
-    assert [answer.meta["revision"] for answer in answers] == [1] + [3] * 8
+    assert sorted(answer.meta["revision"] for answer in answers) == [1] + [3] * 8
     assert len({id(answer) for answer in answers}) == 2
     assert desk.encoded == ["png", "png"]
     assert not desk.answers._cache._turns
