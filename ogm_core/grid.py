@@ -24,9 +24,13 @@ class OccupancyGrid:
     Equal scans and poses in equal order give equal cells.
     """
 
-    def __init__(self, settings: GridSettings, epoch: str = "") -> None:
-        """Make an empty map; `epoch` is the id of its life until the next `reset`."""
+    def __init__(self, settings: GridSettings, epoch: str = "", run: str = "") -> None:
+        """Make an empty map; `epoch` is the id of its life until the next `reset`.
+
+        `run` is the id of the process that writes it: another one may reach the same revision by other scans.
+        """
         self.settings = settings
+        self.run = run
         self.model: CellModel = settings.cell_model
         self.max_bytes = settings.max_bytes
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
@@ -143,6 +147,7 @@ class OccupancyGrid:
             lattice=self.lattice,
             offset=(self.rect.ix, self.rect.iy),
             epoch=self.epoch,
+            run=self.run,
             revision=self.revision,
             stamp=self.stamp,
         )

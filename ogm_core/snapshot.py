@@ -19,8 +19,9 @@ class MapSnapshot:
     """Cells of a rectangle of the map, and what is needed to read them.
 
     `stored` gives the planes that `model` keeps: [iy, ix], shape (height, width), row 0 south. `offset` is
-    the lower-left cell (ix, iy). `stamp` is that of the newest integrated scan, ns since the Unix epoch, None
-    if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
+    the lower-left cell (ix, iy). `epoch`, `run` and `revision` say together which map it is: of one life, as
+    one process has written it, after so many changes. `stamp` is that of the newest integrated scan, ns since
+    the Unix epoch, None if there is none. After `shrink` a pixel stands for `factor` x `factor` cells.
     """
 
     stored: CellSource
@@ -31,6 +32,7 @@ class MapSnapshot:
     revision: int
     stamp: int | None
     factor: int = 1
+    run: str = ""
 
     @property
     def cells(self) -> StoredCells:
@@ -101,6 +103,7 @@ class MapSnapshot:
         x, y = self.origin
         return {
             "epoch": self.epoch,
+            "run": self.run,
             "revision": self.revision,
             "stamp": self.stamp,
             "resolution": self.resolution,

@@ -118,7 +118,10 @@ class MapInfo:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none."""
+    """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
+
+    `run` is the id of the mapper's process, "" of an older one that has none.
+    """
 
     map: str
     epoch: str
@@ -130,6 +133,7 @@ class Status:
     map_info: MapInfo
     robots: dict[str, RobotStatus]
     uptime_s: float
+    run: str = ""
 
 
 def encode_status(status: Status) -> bytes:

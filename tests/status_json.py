@@ -14,6 +14,7 @@ NO_POSES = dict.fromkeys(
 STATUS = Status(
     map="hall",
     epoch="e1",
+    run="r1",
     revision=41,
     stamp=1_700_000_000_500_000_001,
     scans=ScanCounts(received=50, integrated=41, pending=2, dropped={"malformed": 0, "no_pose": 7}),

@@ -30,6 +30,10 @@ from ogm_core.wire.keys import check_name
 
 _PROBLEM = "application/problem+json"
 _EXAMPLE = "a URL looks like http://127.0.0.1:8000"
+_OF_A_GATEWAY = (httpx.codes.BAD_GATEWAY, httpx.codes.SERVICE_UNAVAILABLE, httpx.codes.GATEWAY_TIMEOUT)
+"""What who stands before a mapper answers, and no mapper does, but with a problem."""
+_BROKEN_OFF = "without sending"
+"""In the words of httpcore and h11, which have no error of its own for a connection that ends too early."""
 _HEADERS = {"Accept-Encoding": "identity"}
 """Of an answer that is not compressed the length tells how much memory it takes."""
 
@@ -61,8 +65,8 @@ class HttpTransport:
         self._url = masked(url)
         self._limits = limits
         self._map_name = None if map_name is None else check_name(map_name, "map name")
-        self._epoch: str | None = None
-        """That of a map which has the right name."""
+        self._checked: tuple[object, object] | None = None
+        """Epoch and run of a map which has the right name."""
         # A robot's mapper is on its network, whatever proxy the environment names for the world outside: no
         # proxy is asked. Nor are cookies kept, of which a stranger could send ever more.
         no_cookies = CookieJar(DefaultCookiePolicy(allowed_domains=()))
@@ -83,9 +87,12 @@ class HttpTransport:
 
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""
-        etag = f'"{seen.epoch}-{seen.revision}"'
+        etag = f'"{seen.epoch}-{seen.run}-{seen.revision}"'
         response = self._send("GET", "map.npz", {}, {"If-None-Match": etag})
-        return None if response.status_code == httpx.codes.NOT_MODIFIED else _map_reply(response)
+        if response.status_code == httpx.codes.NOT_MODIFIED:
+            return None
+        reply = _map_reply(response)
+        return None if reply.version == seen else reply
 
     def reset(self) -> None:
         """Empty the map."""
@@ -99,10 +106,11 @@ class HttpTransport:
         self, method: str, name: str, parameters: Parameters, headers: dict[str, str] | None = None
     ) -> _Answer:
         deadline = time.monotonic() + self._limits.timeout
-        if self._epoch is None:
+        if self._checked is None:
             self._check_map(deadline)
         answer = self._request(method, name, parameters, headers, deadline)
-        if answer.headers.get("OGM-Epoch", self._epoch) != self._epoch:
+        told = answer.headers
+        if "OGM-Epoch" in told and (told["OGM-Epoch"], told.get("OGM-Run")) != self._checked:
             self._check_map(deadline)  # by now somebody else may be there
         return answer
 
@@ -116,7 +124,7 @@ class HttpTransport:
                 f"{self._url} serves map {printable(repr(status.get('map')))}, and not {self._map_name!r}: "
                 "is the address right, or the map's name?"
             )
-        self._epoch = status.get("epoch")
+        self._checked = status.get("epoch"), status.get("run")
 
     def _request(
         self,
@@ -128,7 +136,7 @@ class HttpTransport:
     ) -> _Answer:
         if self._client.is_closed:
             raise ClientError(f"{name}: the client is closed")
-        checked, self._epoch = self._epoch, None
+        checked, self._checked = self._checked, None
         try:
             with self._client.stream(
                 method, f"/{name}", params=parameters, headers=headers, extensions={DEADLINE: deadline}
@@ -146,10 +154,15 @@ class HttpTransport:
         except httpx.InvalidURL as error:
             raise BadParameter(f"{name}: cannot be asked: {error}") from error
         except (httpcore.NetworkError, httpcore.ProtocolError) as error:
+            if isinstance(error, httpcore.NetworkError) or _BROKEN_OFF in str(error):
+                raise NobodyAnswered(
+                    f"{self._url} broke off before /{name} was there ({printable(str(error))}): "
+                    "does the mapper restart?"
+                ) from error
             raise BadReply(
                 f"{self._url}: no HTTP answer to /{name} ({printable(str(error))}): is it a mapper's?"
             ) from error
-        self._epoch = checked
+        self._checked = checked
         return answer
 
     def _content(self, name: str, response: httpx.Response) -> bytes:
@@ -160,6 +173,11 @@ class HttpTransport:
             return self._limited(name, response, self._limits.bytes_of(name))
         if response.headers.get("content-type", "").partition(";")[0].strip() == _PROBLEM:
             raise mapper_error(f"/{name}", self._limited(name, response, MAX_PROBLEM_BYTES))
+        if response.status_code in _OF_A_GATEWAY:
+            raise NobodyAnswered(
+                f"{self._url}: a proxy answered /{name} with {response.status_code} "
+                f"{printable(response.reason_phrase)}: does a mapper run behind it?"
+            )
         raise BadReply(
             f"{self._url}: /{name} was answered with {response.status_code} "
             f"{printable(response.reason_phrase)}, and not as a mapper does: is the address right?"
@@ -196,7 +214,7 @@ def _map_reply(answer: _Answer) -> MapReply:
     headers = answer.headers
     stamp = headers.get("OGM-Stamp")
     try:
-        epoch, revision = headers["OGM-Epoch"], int(headers["OGM-Revision"])
-        return map_reply(answer.content, epoch, revision, None if stamp == "null" else int(stamp))
+        epoch, run, revision = headers["OGM-Epoch"], headers.get("OGM-Run"), int(headers["OGM-Revision"])
+        return map_reply(answer.content, epoch, run, revision, None if stamp == "null" else int(stamp))
     except (KeyError, TypeError, ValueError) as error:
         raise BadReply("map.npz: headers OGM-Epoch, OGM-Revision and OGM-Stamp are needed") from error

@@ -11,11 +11,11 @@ from typing import Any, Self
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.errors import BadReply
+from ogm_client.errors import BadReply, CannotConnect, MapperError, NobodyAnswered
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
 from ogm_client.status_reply import read_status
-from ogm_client.transport import NAMES, Limits, MapReply, Transport, json_object
+from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting
 from ogm_core.files.map_files import MAX_NPZ_BYTES, read_npz
@@ -26,7 +26,9 @@ from ogm_core.wire.keys import DEFAULT_ADDRESS
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_MAX_BYTES = MAX_NPZ_BYTES
 DEFAULT_INTERVAL = 0.5
+DEFAULT_PATIENCE = 60.0
 DEFAULT_MAP = "default"
+_UNAVAILABLE = 503
 
 Value = str | ArrayLike | None
 """A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
@@ -120,17 +122,24 @@ class MapClient:
         """The cell at the point (x, y), m: `{x, y, ix, iy, known, log_odds, probability}`."""
         return json_object("cell", self.fetch("cell", x=x, y=y))
 
-    def watch(self, interval: float = DEFAULT_INTERVAL) -> Iterator[MapGrid]:
+    def watch(
+        self, interval: float = DEFAULT_INTERVAL, patience: float = DEFAULT_PATIENCE
+    ) -> Iterator[MapGrid]:
         """Yield the map at once, and again whenever it has changed; looks every `interval` seconds.
 
-        A map that does not change is not sent again. Ends only by an error or with the loop around it.
+        A map that does not change is not sent again. That of a mapper which was started anew is: only its
+        `run` may tell it from the one before. A mapper that is away after the first map, or that starts,
+        stops or is busy (503), is waited for: `patience` seconds, 0 not at all, math.inf for ever; then what
+        was wrong is raised. Ends only by an error or with the loop around it.
 
         Raises:
-            BadParameter: the interval is not a positive number.
+            BadParameter: the interval is not a positive number, or the patience is negative or none.
         """
         if not 0.0 < interval < math.inf:
             raise BadParameter(f"interval: a positive number of seconds is needed, got {interval}")
-        return self._watch(interval)
+        if not patience >= 0.0:
+            raise BadParameter(f"patience: a number of seconds, 0 or more, is needed, got {patience}")
+        return self._watch(interval, patience)
 
     def reset(self) -> None:
         """Empty the map: a new epoch begins."""
@@ -148,21 +157,36 @@ class MapClient:
     ) -> None:
         self.close()
 
-    def _watch(self, interval: float) -> Iterator[MapGrid]:
+    def _watch(self, interval: float, patience: float) -> Iterator[MapGrid]:
         reply: MapReply | None = self._transport.fetch_map({})
         while True:
             if reply is not None:
                 seen = reply.version
                 yield self._grid(reply)
+            reply = self._look_again(seen, interval, patience)
+
+    def _look_again(self, seen: Version, interval: float, patience: float) -> MapReply | None:
+        """The next look at the map; a mapper that is away is waited for."""
+        gives_up = math.inf
+        while True:
             time.sleep(interval)
-            reply = self._transport.fetch_map_after(seen)
+            try:
+                return self._transport.fetch_map_after(seen)
+            except (CannotConnect, NobodyAnswered, MapperError) as error:
+                if isinstance(error, MapperError) and error.status != _UNAVAILABLE:
+                    raise
+                gives_up = min(gives_up, time.monotonic() + patience)
+                if time.monotonic() >= gives_up:
+                    raise
 
     def _grid(self, reply: MapReply) -> MapGrid:
         try:
             npz = read_npz(reply.npz, max_bytes=self._max_bytes)
         except BadInput as error:
             raise BadReply(str(error)) from error
-        return MapGrid(npz.log_odds, npz.resolution, npz.anchor, npz.offset, *reply.version, reply.stamp)
+        epoch, run, revision = reply.version
+        place = npz.resolution, npz.anchor, npz.offset
+        return MapGrid(npz.log_odds, *place, epoch, revision, reply.stamp, run)
 
 
 def _transport(

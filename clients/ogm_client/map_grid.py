@@ -37,8 +37,8 @@ class MapGrid:
 
     `log_odds` is ln(p / (1 - p)) of "occupied", NaN where unknown; float64 of a float64 map, else float32.
     `resolution` is metres per cell; `anchor` the world position of the lower-left corner of cell (0, 0), m;
-    `epoch` and `revision` name the map's state; `stamp` is its newest scan's, ns since the Unix epoch, or
-    None. A notebook shows a grid as a picture with a scale bar.
+    `epoch`, `run` (of the mapper's process) and `revision` name the map's state together; `stamp` is its
+    newest scan's, ns since the Unix epoch, or None. A notebook shows a grid as a picture with a scale bar.
     """
 
     log_odds: NDArray[np.floating[Any]]
@@ -48,6 +48,7 @@ class MapGrid:
     epoch: str
     revision: int
     stamp: int | None
+    run: str = ""
 
     @classmethod
     def from_snapshot(cls, snapshot: MapSnapshot) -> "MapGrid":
@@ -67,14 +68,14 @@ class MapGrid:
         log_odds = snapshot.model.arrays(snapshot.stored).get(PLANE)
         if log_odds is None:  # a model that keeps something else
             log_odds = np.where(snapshot.published()[1], snapshot.log_odds(), np.nan)
-        return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp)
+        return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp, snapshot.run)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, max_bytes: int = MAX_NPZ_BYTES) -> "MapGrid":
         """The map in a file that `save_npz`, `ogm build` or `ogm get map.npz` wrote, value for value.
 
-        The file does not name the map's state: `epoch` is "", `revision` 0, `stamp` None. The cells may take
-        `max_bytes` of memory.
+        The file does not name the map's state: `epoch` and `run` are "", `revision` 0, `stamp` None. The
+        cells may take `max_bytes` of memory.
 
         Raises:
             BadMapFile: it cannot be read, holds something else or too much; the text says what is wrong.
@@ -262,7 +263,8 @@ class MapGrid:
     def _snapshot_of(self, cells: StoredCells) -> MapSnapshot:
         model = LogOdds(cells="float64")
         stored = CellArrays.of(model, cells)
-        return MapSnapshot(stored, model, self._lattice, self.offset, self.epoch, self.revision, self.stamp)
+        place = self._lattice, self.offset
+        return MapSnapshot(stored, model, *place, self.epoch, self.revision, self.stamp, run=self.run)
 
 
 def _region(values: Any) -> Region:  # noqa: ANN401 - an ArrayLike, or a mistake

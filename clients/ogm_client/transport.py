@@ -17,7 +17,7 @@ MAX_FIGURES_BYTES = 16 * MEBIBYTE
 """The longest status, figures of quality or cell, bytes: a thousand robots' status is half of it."""
 MAX_PROBLEM_BYTES = 64 * 1024
 """The longest error reply, bytes."""
-_MAX_EPOCH = 128
+_MAX_ID = 128
 _SHOWN = 300
 
 
@@ -36,6 +36,8 @@ class Version(NamedTuple):
     """One state of a map: the content can only differ where the version does."""
 
     epoch: str
+    run: str
+    """Of the mapper's process; "" of an older mapper, which does not tell it."""
     revision: int
 
 
@@ -74,20 +76,19 @@ def too_long(what: str, limit: int) -> BadReply:
     return BadReply(f"{what}: longer than {limit} bytes, the most that is read of it (max_bytes, for maps)")
 
 
-def map_reply(npz: bytes, epoch: object, revision: object, stamp: object) -> MapReply:
+def map_reply(npz: bytes, epoch: object, run: object, revision: object, stamp: object) -> MapReply:
     """Check what accompanies a map.
 
     Raises:
         BadReply: a value is missing or of the wrong type.
     """
-    if not isinstance(epoch, str) or not (epoch.isascii() and epoch.isprintable()) or len(epoch) > _MAX_EPOCH:
-        raise BadReply(f"map.npz: a plain text is needed as epoch, got {printable(repr(epoch))}")
+    epoch, run = _plain("epoch", epoch), _plain("run", "" if run is None else run)
     if type(revision) is not int or not (stamp is None or type(stamp) is int):
         raise BadReply(
             f"map.npz: a whole revision and a whole or null stamp are needed, "
             f"got {printable(f'{revision!r} and {stamp!r}')}"
         )
-    return MapReply(npz, Version(epoch, revision), stamp)
+    return MapReply(npz, Version(epoch, run, revision), stamp)
 
 
 def json_object(what: str, payload: bytes) -> dict[str, Any]:
@@ -128,6 +129,12 @@ def printable(text: str) -> str:
     line = " ".join(text[: 2 * _SHOWN].split())
     shown = errors.printable(line)
     return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
+
+
+def _plain(name: str, text: object) -> str:
+    if not isinstance(text, str) or not (text.isascii() and text.isprintable()) or len(text) > _MAX_ID:
+        raise BadReply(f"map.npz: a plain text is needed as {name}, got {printable(repr(text))}")
+    return text
 
 
 def _no_number(text: str) -> NoReturn:

@@ -61,7 +61,7 @@ class ZenohTransport:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""
         deadline = self._deadline()
         status = json_object("status", self._fetch("status", {}, deadline))
-        if (status.get("epoch"), status.get("revision")) == seen:
+        if (status.get("epoch"), status.get("run", ""), status.get("revision")) == seen:
             return None
         reply = self._fetch_map({}, deadline)
         return None if reply.version == seen else reply
@@ -89,7 +89,7 @@ class ZenohTransport:
         sample = self._get("map", {"format": "npz", **parameters}, deadline)
         meta = _attachment(sample)
         npz = _content("map.npz", sample.payload, self._limits.max_bytes)
-        return map_reply(npz, meta.get("epoch"), meta.get("revision"), meta.get("stamp"))
+        return map_reply(npz, *(meta.get(name) for name in ("epoch", "run", "revision", "stamp")))
 
     def _get(self, service: Service, parameters: Parameters, deadline: float) -> zenoh.Sample:
         """The first answer; a mapper answers once."""

@@ -28,7 +28,8 @@ class FakeMapper:
 
     `address` and `over` ("zenoh", "http") say how it is reached. `bodies` overrides answers, `meta` what
     accompanies a map (... takes it away); a `problem` refuses all. `later` swaps the map just before the
-    request of that number (from 0) is answered. `name`: of the map, in the status.
+    request of that number (from 0) is answered. `name`: of the map, in the status. `garbled`: the HTTP status
+    of a `problem` that is none.
     """
 
     address: str
@@ -39,6 +40,7 @@ class FakeMapper:
     meta: dict = field(default_factory=dict)
     later: dict = field(default_factory=dict)
     name: str = MAP_NAME
+    garbled: int = 500
     asked: list = field(default_factory=list)
 
     def take(self, name, parameters):
@@ -50,9 +52,8 @@ class FakeMapper:
         if name in self.bodies:
             return self.bodies[name]
         if name == "status":
-            return encode_status(
-                replace(STATUS, epoch=self.snapshot.epoch, revision=self.snapshot.revision, map=self.name)
-            )
+            told = {name: getattr(self.snapshot, name) for name in ("epoch", "run", "revision")}
+            return encode_status(replace(STATUS, **told, map=self.name))
         return encode_npz(self.snapshot) if name == "map.npz" else f"{name} as asked".encode()
 
     def map_meta(self):
@@ -88,9 +89,10 @@ class Handler(BaseHTTPRequestHandler):
             return self.send_error(405)
         body = mapper.take(name, dict(parse_qsl(url.query)))
         snap = mapper.snapshot
-        etag = f'"{snap.epoch}-{snap.revision}"'
+        etag = f'"{snap.epoch}-{snap.run}-{snap.revision}"'
         headers = {
             "OGM-Epoch": snap.epoch,
+            "OGM-Run": snap.run,
             "OGM-Revision": snap.revision,
             "OGM-Stamp": json.dumps(snap.stamp),
         }
@@ -98,7 +100,7 @@ class Handler(BaseHTTPRequestHandler):
             headers[f"OGM-{key.capitalize()}"] = value
         if body is None:
             headers = {"Content-Type": PROBLEM if isinstance(mapper.problem, dict) else "text/plain"}
-            status = mapper.problem["status"] if isinstance(mapper.problem, dict) else 502
+            status = mapper.problem["status"] if isinstance(mapper.problem, dict) else mapper.garbled
             body = mapper.refusal()
         elif self.headers["If-None-Match"] == etag:
             mapper.asked[-1] = (name, "not modified")
@@ -132,6 +134,7 @@ def snapshot():
         lattice,
         (-5, 10),
         epoch="first",
+        run="one",
         revision=7,
         stamp=1_700_000_000_000_000_001,
     )

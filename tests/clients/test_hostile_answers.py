@@ -107,6 +107,13 @@ def test_headers_without_end_are_not_read_on():
         assert server.sent < 20e6
 
 
+@pytest.mark.parametrize("head", [b"", LONG], ids=["before it begins", "in its body"])
+def test_an_answer_that_breaks_off_is_nobody_s(head):
+    said = pytest.raises(NobodyAnswered, match="broke off before /status was there")
+    with serving(Server(head)) as url, MapClient(url, timeout=GIVES_UP) as client, said:
+        client.status()
+
+
 def test_a_compressed_answer_is_neither_asked_for_nor_unpacked():
     bomb = gzip.compress(bytes(10_000_000))
     server = Server(OK + b"Content-Encoding: gzip\r\nContent-Length: %d\r\n\r\n" % len(bomb) + bomb)

@@ -5,6 +5,7 @@ import math
 import socket
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_a_map_arrives_as_it_was_served(mapper, client):
     np.testing.assert_array_equal(grid.log_odds, expected.astype(np.float32))
     assert grid.log_odds.dtype == np.float32
     assert (grid.resolution, grid.anchor, grid.offset) == (0.1, (0.5, -0.25), (-5, 10))
-    assert (grid.epoch, grid.revision, grid.stamp) == ("first", 7, 1_700_000_000_000_000_001)
+    assert (grid.epoch, grid.run, grid.revision, grid.stamp) == ("first", "one", 7, 1_700_000_000_000_000_001)
     assert mapper.asked == [("map.npz", {})]
 
 
@@ -76,7 +77,7 @@ def test_figures_are_dictionaries(mapper, client):
 
 def test_the_status_has_types(mapper, client):
     status = client.status()
-    assert status == replace(STATUS, epoch="first", revision=7)
+    assert status == replace(STATUS, epoch="first", run="one", revision=7)
     assert status.robots["r2"].sources["front"].dropped == {"no_pose": 5}
     assert mapper.asked == [("status", {})]
 
@@ -121,10 +122,13 @@ def test_a_mapper_that_takes_the_place_of_another_is_looked_at(http_mapper):
         client.get_map()
         http_mapper.snapshot = replace(http_mapper.snapshot, epoch="second")
         client.get_map()  # emptied: the same name
-        http_mapper.snapshot = replace(http_mapper.snapshot, epoch="third")
-        http_mapper.name = "cellar"
-        with pytest.raises(NobodyAnswered, match="serves map 'cellar'"):
+        for another in ({"epoch": "third"}, {"run": "two"}):
+            http_mapper.name = MAP_NAME
             client.get_map()
+            http_mapper.snapshot = replace(http_mapper.snapshot, **another)
+            http_mapper.name = "cellar"
+            with pytest.raises(NobodyAnswered, match="serves map 'cellar'"):
+                client.get_map()
 
 
 def test_a_bad_name_of_a_map_is_refused(mapper):
@@ -197,13 +201,14 @@ def test_a_map_without_its_version_is_a_bad_reply(mapper, client, name):
         client.get_map()
 
 
-@pytest.mark.parametrize("change", [{"revision": 8}, {"epoch": "second"}])
+@pytest.mark.parametrize("change", [{"revision": 8}, {"epoch": "second"}, {"run": "two"}])
 def test_watch_yields_at_once_and_on_each_change_only(mapper, client, change):
     mapper.later[4] = replace(mapper.snapshot, **change)
     maps = client.watch(interval=0.001)
     first, second = next(maps), next(maps)
-    assert (first.epoch, first.revision) == ("first", 7)
-    assert (second.epoch, second.revision) == (change.get("epoch", "first"), change.get("revision", 7))
+    of_first = {"epoch": "first", "run": "one", "revision": 7}
+    assert {name: getattr(first, name) for name in of_first} == of_first
+    assert {name: getattr(second, name) for name in of_first} == of_first | change
     if mapper.over == "http":
         assert mapper.asked == [("map.npz", {}), *[("map.npz", "not modified")] * 3, ("map.npz", {})]
     else:
@@ -216,7 +221,7 @@ def test_watch_yields_at_once_and_on_each_change_only(mapper, client, change):
 def test_watch_does_not_yield_a_map_twice(zenoh_mapper):
     """The status may lag behind the map; its next answer is then not news."""
     with MapClient(zenoh_mapper.address, map_name="hall") as client:
-        zenoh_mapper.bodies["status"] = b'{"epoch": "first", "revision": 6}'
+        zenoh_mapper.bodies["status"] = b'{"epoch": "first", "run": "one", "revision": 6}'
         zenoh_mapper.later[5] = replace(zenoh_mapper.snapshot, revision=8)
         maps = client.watch(interval=0.001)
         assert [next(maps).revision, next(maps).revision] == [7, 8]
@@ -230,6 +235,53 @@ def test_watch_ends_with_the_mapper_s_refusal(mapper, client):
         next(maps)
     with pytest.raises(StopIteration):
         next(maps)
+
+
+STARTING = {"type": "starting", "status": 503, "title": "Unavailable", "detail": "the mapper is starting"}
+
+
+def test_watch_waits_for_a_mapper_that_starts(mapper, client):
+    maps = client.watch(interval=0.001)
+    first, mapper.problem = next(maps), STARTING
+    with ThreadPoolExecutor(1) as pool:
+        waiting, asked = pool.submit(next, maps), len(mapper.asked)
+        eventually_more(mapper, asked + 3)
+        mapper.snapshot, mapper.problem = replace(mapper.snapshot, run="two"), None
+        second = waiting.result(timeout=30.0)
+    assert (first.run, second.run) == ("one", "two")
+    assert (first.epoch, first.revision) == (second.epoch, second.revision)
+
+
+def eventually_more(mapper, count):
+    deadline = time.monotonic() + 30.0
+    while len(mapper.asked) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def test_watch_waits_as_long_as_its_patience(mapper, client):
+    for patience, more in ((0.0, range(1, 2)), (0.05, range(2, 60))):
+        mapper.problem = None
+        maps = client.watch(interval=0.001, patience=patience)
+        next(maps)
+        mapper.problem, asked = STARTING, len(mapper.asked)
+        with pytest.raises(MapperError, match="the mapper is starting"):
+            next(maps)
+        assert len(mapper.asked) - asked in more
+
+
+@pytest.mark.parametrize("status", [502, 503, 504])
+def test_a_proxy_without_a_mapper_is_nobody(http_mapper, status):
+    http_mapper.problem, http_mapper.garbled = b"<h1>Bad gateway</h1>", status
+    said = pytest.raises(NobodyAnswered, match=f"a proxy answered /map.npz with {status}")
+    with MapClient(http_mapper.address) as client, said:
+        client.get_map()
+
+
+@pytest.mark.parametrize("patience", [-1.0, math.nan])
+def test_watch_refuses_a_patience_that_is_none(client, patience):
+    with pytest.raises(BadParameter, match="patience"):
+        client.watch(patience=patience)
 
 
 @pytest.mark.parametrize("interval", [0, -1.0, math.nan, math.inf])
@@ -301,18 +353,21 @@ def test_a_mapper_that_does_not_answer_over_http():
             client.status()
 
 
-def test_something_else_than_http_answers():
+@pytest.mark.parametrize(("end", "error"), [(b"", NobodyAnswered), (b"\r\n", BadReply)])
+def test_something_else_than_http_answers(end, error):
+    """Half an answer may be a mapper's that has just ended; a whole one that is none is not."""
+
     def greet(server):
         connection, _ = server.accept()
         with connection:
             connection.recv(4096)
-            connection.sendall(b"SSH-2.0-other\r\n")
+            connection.sendall(b"SSH-2.0-other\r\n" + end)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
         thread = threading.Thread(target=greet, args=(server,))
         thread.start()
         url = f"http://127.0.0.1:{server.getsockname()[1]}"
-        with MapClient(url, timeout=30.0) as client, pytest.raises(BadReply, match=url):
+        with MapClient(url, timeout=30.0) as client, pytest.raises(error, match=url):
             client.status()
         thread.join()
 

@@ -40,13 +40,13 @@ def test_of_a_snapshot_it_is_what_a_mapper_would_send(cells):
     model = LogOdds(cells)
     stored = model.store(np.nan_to_num(LOG_ODDS), ~np.isnan(LOG_ODDS))
     snapshot = MapSnapshot(
-        CellArrays.of(model, stored), model, Lattice(0.5, (10.0, -20.0)), (-2, 4), "e", 3, 17
+        CellArrays.of(model, stored), model, Lattice(0.5, (10.0, -20.0)), (-2, 4), "e", 3, 17, run="r"
     )
     grid, sent = MapGrid.from_snapshot(snapshot), read_npz(encode_npz(snapshot))
     np.testing.assert_array_equal(grid.log_odds, sent.log_odds)
     assert grid.log_odds.dtype == sent.log_odds.dtype
     assert (grid.resolution, grid.anchor, grid.offset) == (sent.resolution, sent.anchor, sent.offset)
-    assert (grid.epoch, grid.revision, grid.stamp) == ("e", 3, 17)
+    assert (grid.epoch, grid.run, grid.revision, grid.stamp) == ("e", "r", 3, 17)
     np.testing.assert_allclose(grid.log_odds, LOG_ODDS, atol=model.step)
     assert grid.origin == snapshot.origin == (9.0, -18.0)
     with pytest.raises(BadParameter, match="blocks of 2 x 2"):

@@ -22,7 +22,7 @@ model_of_every_kind = pytest.mark.parametrize("model", MODELS, ids=lambda m: f"{
 
 
 def snapshot(cells, model=MODELS[0], offset=(0, 0), lattice=None, **fields):
-    fields = {"epoch": "e1", "revision": 7, "stamp": 123, **fields}
+    fields = {"epoch": "e1", "run": "r1", "revision": 7, "stamp": 123, **fields}
     return MapSnapshot(
         CellArrays.of(model, np.asarray(cells, model.dtype)), model, lattice or Lattice(0.5), offset, **fields
     )
@@ -229,6 +229,7 @@ def test_meta_has_the_names_and_shapes_of_the_json():
     snap = snapshot(np.ones((2, 3)), offset=(-4, 6), lattice=Lattice(0.5, (10.0, 20.0)))
     assert snap.meta() == {
         "epoch": "e1",
+        "run": "r1",
         "revision": 7,
         "stamp": 123,
         "resolution": 0.5,

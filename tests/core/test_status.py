@@ -41,7 +41,7 @@ def test_its_json_is_word_for_word_this():
         b'"robots": {"r2": {"pose": [1.0, -2.5, 0.1], "stamp": 7, "alive": true, "age_s": 0.25, "sources": '
         b'{"front": {"run": "a", "last_seq": null, "received": 40, "pending": 2, "integrated": 33, '
         b'"dropped": {"no_pose": 5}, "hints": ["range_max"]}}}, "r1": {"pose": null, "stamp": null, '
-        b'"alive": false, "age_s": null, "sources": {}}}, "uptime_s": 12.25}'
+        b'"alive": false, "age_s": null, "sources": {}}}, "uptime_s": 12.25, "run": "r1"}'
     )
 
 

@@ -31,7 +31,7 @@ class Desk:
     """Answers about a map, and a count of how often each format was encoded."""
 
     def __init__(self, monkeypatch, settings):
-        self.live = LiveMap(OccupancyGrid(settings, "epoch"))
+        self.live = LiveMap(OccupancyGrid(settings, "epoch", "run"))
         self.receipts = Receipts()
         self.answers = Answers("hall", self.live, self.receipts, Monitor(self.live))
         self.encoded = []
@@ -74,7 +74,7 @@ def test_an_answer_is_kept_until_a_scan_comes(desk, form):
     desk.scan(2.0)
     second = desk.answers.map(form, {})
     assert second is not first
-    assert (first.etag, second.etag) == ('"epoch-1"', '"epoch-2"')
+    assert (first.etag, second.etag) == ('"epoch-run-1"', '"epoch-run-2"')
     assert (second.meta["revision"], desk.encoded) == (2, [form, form])
 
 
@@ -82,7 +82,7 @@ def test_a_reset_is_a_new_answer_even_at_an_old_revision(desk):
     first = desk.answers.map("json", {})
     desk.live.reset("other")
     second = desk.answers.map("json", {})
-    assert (first.etag, second.etag) == ('"epoch-0"', '"other-0"')
+    assert (first.etag, second.etag) == ('"epoch-run-0"', '"other-run-0"')
     assert json.loads(second.body)["epoch"] == "other"
 
 
@@ -231,7 +231,7 @@ def test_answers_to_many_threads_are_those_to_one(desk):
     def ask(order):
         for each in order * 5:
             answer = desk.answers.map(*each)
-            if answer.body != alone[repr(each)] or answer.etag != '"epoch-1"':
+            if answer.body != alone[repr(each)] or answer.etag != '"epoch-run-1"':
                 wrong.append(each)
 
     threads = [threading.Thread(target=ask, args=(asked[n:] + asked[:n],)) for n in range(4)]
@@ -315,7 +315,7 @@ def test_a_map_of_before_a_reset_that_is_encoded_late_does_not_push_out_the_new_
     newest = desk.answers.map("json", {})
     go_on.set()
     thread.join(10.0)
-    assert late[0].etag == '"epoch-1"'
-    assert newest.etag == '"other-0"'
+    assert late[0].etag == '"epoch-run-1"'
+    assert newest.etag == '"other-run-0"'
     assert desk.answers.map("json", {}) is newest
     assert desk.encoded == ["json", "png"]

@@ -21,6 +21,7 @@ from ogm_services.commands.status import WHAT_HELPS
 STATUS = {
     "map": "hall",
     "epoch": "e1",
+    "run": "p1",
     "revision": 41,
     "stamp": 1_700_000_000_500_000_000,
     "scans": {
@@ -274,7 +275,7 @@ def test_status_as_a_table(ogm, mapper):
     lines = [line.split() for line in result.stdout.splitlines()]
     rows = {line[0]: line[1:] for line in lines if line}
     assert rows["map"] == ["hall"]
-    assert rows["revision"] == ["41"]
+    assert (rows["epoch"], rows["run"], rows["revision"]) == (["e1"], ["p1"], ["41"])
     assert " ".join(rows["scans"]) == "50 received, 41 integrated, 2 pending"
     assert " ".join(rows["dropped"]) == "7 no_pose"
     assert " ".join(rows["poses"]) == "60 received, 1 malformed, 3 late"

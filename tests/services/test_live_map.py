@@ -91,7 +91,7 @@ def test_the_map_is_its_grid(live):
             scan(1 + stamp / 4, stamp), HERE
         )
     assert live.snapshot().cells.tobytes() == twin.snapshot().cells.tobytes()
-    assert live.now == Identity(epoch="first", revision=3, stamp=9)
+    assert live.now == Identity(epoch="first", run="", revision=3, stamp=9)
     assert live.info() == MapInfo(
         known_cells=live.info().known_cells,
         bytes=twin.nbytes,

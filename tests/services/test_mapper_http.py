@@ -58,7 +58,7 @@ def problem(response, status, slug):
 
 def test_json(cross):
     reply = cross.http.get("/map.json").json()
-    identity = {name: cross.status()[name] for name in ("epoch", "revision", "stamp")}
+    identity = {name: cross.status()[name] for name in ("epoch", "run", "revision", "stamp")}
     assert identity | {"revision": 3, "stamp": 1_700_000_000_000_000_003} == identity
     assert reply == {
         "map": "hall",
@@ -195,12 +195,13 @@ def test_every_map_carries_its_identity(cross):
         headers = response.headers
         assert headers["content-type"].partition(";")[0] == media_type
         assert headers["cache-control"] == "no-cache"
-        assert headers["etag"] == f'"{status["epoch"]}-3"'
+        assert headers["etag"] == f'"{status["epoch"]}-{status["run"]}-3"'
         named = {name: value for name, value in headers.items() if name.startswith("ogm-")}
         assert named == {
             "ogm-resolution": "0.5",
             "ogm-origin": "-1.0,-2.5",
             "ogm-epoch": status["epoch"],
+            "ogm-run": status["run"],
             "ogm-revision": "3",
             "ogm-stamp": str(status["stamp"]),
         }

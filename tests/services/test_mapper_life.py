@@ -262,7 +262,7 @@ def test_reset_begins_a_new_epoch_and_keeps_the_books(mapper):
     mapper.scan([1.0], pose=[0, 0, 0], run="a", seq=8, at=-9)
     again = mapper.settle(received=6)
     assert (again["revision"], again["stamp"]) == (1, 1_700_000_000_000_000_000 - 9)
-    assert mapper.http.get("/map.json").headers["etag"] == f'"{after["epoch"]}-1"'
+    assert mapper.http.get("/map.json").headers["etag"] == f'"{after["epoch"]}-{before["run"]}-1"'
 
 
 def test_poses_outlive_a_reset(mapper):

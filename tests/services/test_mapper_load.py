@@ -75,7 +75,7 @@ def read_json(mapper, stop, reader):
                 assert response.headers["etag"] == etag
                 continue
             body = response.raise_for_status().json()
-            assert response.headers["etag"] == f'"{body["epoch"]}-{body["revision"]}"' != etag
+            assert response.headers["etag"] == f'"{body["epoch"]}-{body["run"]}-{body["revision"]}"' != etag
             assert response.headers["ogm-revision"] == str(body["revision"])
             assert response.headers["ogm-stamp"] == json.dumps(body["stamp"])
             etag = response.headers["etag"]

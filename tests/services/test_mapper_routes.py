@@ -90,7 +90,8 @@ def test_a_bad_parameter(cross, path):
 def test_status(cross):
     status = cross.status()
     assert list(status) == [
-        *("map", "epoch", "revision", "stamp", "scans", "poses", "other", "map_info", "robots", "uptime_s")
+        *("map", "epoch", "revision", "stamp", "scans", "poses", "other", "map_info", "robots", "uptime_s"),
+        "run",
     ]
     assert (status["map"], status["revision"], status["stamp"]) == ("hall", 3, 1_700_000_000_000_000_003)
     dropped = dict.fromkeys(DROP_REASONS, 0)
@@ -108,7 +109,8 @@ def test_status(cross):
         "resolution": 0.5,
     }
     assert status["map_info"]["bytes"] > 0
-    assert len(status["epoch"]) == 32
+    assert len(status["epoch"]) == len(status["run"]) == 32
+    assert status["epoch"] != status["run"]
     assert 0 < status["uptime_s"] < cross.status()["uptime_s"] < 600
 
 
@@ -272,6 +274,11 @@ def test_openapi_documents_what_a_route_may_answer(cross):
     }
     assert all(answers >= {"200", "400"} for answers in documented.values())
     assert {path for path, answers in documented.items() if "304" in answers} == set(ROUTES[:5])
+    for path in ROUTES[:5]:
+        sent = {name for name in cross.http.get(path).headers if name == "etag" or name.startswith("ogm-")}
+        answers = paths[path]["get"]["responses"]
+        assert {name.lower() for name in answers["200"]["headers"]} == sent
+        assert answers["304"]["headers"] == answers["200"]["headers"]
     for path, query, status in (
         ("/map.png", "palette=blue", 400),
         ("/map.json", "values=", 400),

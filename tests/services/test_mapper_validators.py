@@ -46,7 +46,7 @@ def test_not_modified(cross, sent, status):
         response = cross.http.get(f"/map.{form}", headers=headers)
         assert response.status_code == status
         assert response.content == (whole.content if status == 200 else b"")
-        for name in ("etag", "cache-control", "ogm-epoch", "ogm-revision", "ogm-stamp"):
+        for name in ("etag", "cache-control", "ogm-epoch", "ogm-run", "ogm-revision", "ogm-stamp"):
             assert response.headers[name] == whole.headers[name]
 
 

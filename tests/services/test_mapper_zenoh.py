@@ -10,7 +10,7 @@ import zenoh
 from ogm_services.mapper.serving.other_mappers import AlreadyMapped
 from ogm_services.replies.turns import Turns
 
-META = ["epoch", "revision", "stamp", "resolution", "width", "height", "origin", "anchor", "offset"]
+META = ["epoch", "run", "revision", "stamp", "resolution", "width", "height", "origin", "anchor", "offset"]
 
 
 def alive(session, pattern="ogm/v1/*/alive/mapper/*/*"):
@@ -48,7 +48,7 @@ def test_the_map_is_what_http_serves(cross, parameters, path):
     assert reply.payload.to_bytes() == response.content
     assert str(reply.encoding) == response.headers["content-type"].partition(";")[0]
     meta = msgpack.unpackb(reply.attachment.to_bytes())
-    assert f'"{meta["epoch"]}-{meta["revision"]}"' == response.headers["etag"]
+    assert f'"{meta["epoch"]}-{meta["run"]}-{meta["revision"]}"' == response.headers["etag"]
     assert float(response.headers["ogm-resolution"]) == meta["resolution"]
     assert response.headers["ogm-origin"] == f"{meta['origin']['x']},{meta['origin']['y']}"
 
@@ -213,9 +213,10 @@ def test_a_running_mapper_is_alive_and_a_stopped_one_is_not(start_mapper, listen
     meet = {"connect": [endpoint], "listen": []}
     tokens = []
     for _ in range(2):
-        with start_mapper(network=meet):
+        with start_mapper(network=meet) as mapper:
             (token,) = alive(listener)
             assert re.fullmatch(r"ogm/v1/hall/alive/mapper/[\w.-]{1,64}/[0-9a-f]{32}", token)
+            assert token.rpartition("/")[2] == mapper.status()["run"]
             tokens.append(token.rsplit("/", 1))
         eventually(lambda: alive(listener) == set())
     (first, run), (second, other_run) = tokens

@@ -8,13 +8,20 @@ from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.ready_maps import ReadyMaps
 from ogm_services.replies.answer import Answer
 
-META = {"epoch": "e", "revision": 3, "stamp": 7, "resolution": 0.1, "origin": {"x": 0.0, "y": 0.0}}
+META = {
+    "epoch": "e",
+    "run": "r",
+    "revision": 3,
+    "stamp": 7,
+    "resolution": 0.1,
+    "origin": {"x": 0.0, "y": 0.0},
+}
 
 
 class Map:
     """Stands for the answers: a map that says how far it has come."""
 
-    identity = Identity("e", 3, 7)
+    identity = Identity("e", "r", 3, 7)
     cache_room = 64 * 1024**2
 
     def now(self):
@@ -52,10 +59,11 @@ def test_bodies_and_queries_of_any_length_have_the_same_room(ready, body, query)
 
 def test_what_is_no_longer_the_map_is_not_kept(ready):
     assert keep(ready, b"old", [b"a", b"b"]) == [1, 2]
-    ready._answers.identity = Identity("e", 4, 8)
+    ready._answers.identity = Identity("e", "r", 4, 8)
     assert keep(ready, b"old", [b"c"]) == [2]  # of revision 3, which nobody is sent any more
-    ready._answers.identity = Identity("f", 3, 7)
-    assert keep(ready, b"old", [b"c"]) == [2]
+    for other in (Identity("f", "r", 3, 7), Identity("e", "s", 3, 7)):
+        ready._answers.identity = other
+        assert keep(ready, b"old", [b"c"]) == [2]
 
 
 def test_what_is_kept_can_be_let_go(ready):

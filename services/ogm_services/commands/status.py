@@ -49,6 +49,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
     whole.add_column()
     rows = {
         "epoch": status.epoch,
+        "run": status.run,
         "revision": status.revision,
         "stamp": _time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",

@@ -131,7 +131,9 @@ def rates_between(before: Status | None, now: Status) -> Rates | None:
         return None
     seconds = now.uptime_s - before.uptime_s
     then, counts = before.scans, now.scans
-    if seconds <= 0.0 or counts.received < then.received:  # another mapper has taken its place
+    if (
+        now.run != before.run or seconds <= 0.0 or counts.received < then.received
+    ):  # another mapper has taken its place
         return None
     dropped = sum(counts.dropped.values()) - sum(then.dropped.values())
     return Rates(

@@ -64,7 +64,9 @@ class Parts:
 
     def _make_map(self, settings: Settings) -> None:
         """The map, as it is when the mapper starts."""
-        grid = started_grid(settings, uuid.uuid4().hex)
+        self.run = uuid.uuid4().hex
+        """Of this process: its liveliness token has it, and every map."""
+        grid = started_grid(settings, uuid.uuid4().hex, self.run)
         self.grid_settings: GridSettings = grid.settings
         self.live_map = LiveMap(grid, self.memory)
         """The worker writes it, any thread reads it."""

@@ -240,7 +240,7 @@ class MapperService:
         keys = MapKeys(network.map_name)
         rest = RestOfWarmUp(self.parts.grid_settings)
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
-        others = OtherMappers(session, keys)
+        others = OtherMappers(session, keys, self.parts.run)
         self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
         self._http_shares = _shares(opening, self.parts.limits.http_questions)

@@ -83,5 +83,6 @@ class Answer:
 
     @property
     def etag(self) -> str | None:
-        """Strong validator of a map: its epoch and revision."""
-        return None if self.meta is None else f'"{self.meta["epoch"]}-{self.meta["revision"]}"'
+        """Strong validator of a map: its epoch, the mapper's run, and its revision."""
+        meta = self.meta
+        return None if meta is None else f'"{meta["epoch"]}-{meta["run"]}-{meta["revision"]}"'

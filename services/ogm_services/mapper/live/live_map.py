@@ -43,11 +43,22 @@ class _OutOfTime(Exception):
 
 
 class Identity(NamedTuple):
-    """Which map it is, and how far it has come."""
+    """Which map it is, the process that writes it, and how far it has come."""
 
     epoch: str
+    run: str
     revision: int
     stamp: int | None
+
+    @classmethod
+    def of(cls, told: OccupancyGrid | MapSnapshot) -> "Identity":
+        """That of a map, or of a copy."""
+        return cls(told.epoch, told.run, told.revision, told.stamp)
+
+    @property
+    def life(self) -> tuple[str, str]:
+        """Within one, a higher revision is a newer map."""
+        return self.epoch, self.run
 
 
 class _State(NamedTuple):
@@ -244,12 +255,12 @@ class LiveMap:
     def _told(self) -> _State:
         """The state of the grid; the writer's."""
         grid = self._grid
-        return _State(Identity(grid.epoch, grid.revision, grid.stamp), grid.rect, grid.nbytes)
+        return _State(Identity.of(grid), grid.rect, grid.nbytes)
 
     def _room(self) -> Tiles | None:
         """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""
-        known, now = self._snapshot, self.now
-        if known is not None and (known.epoch, known.revision) == now[:2]:
+        known = self._snapshot
+        if known is not None and Identity.of(known) == self.now:
             return None
         with self._writing:
             make_room = self._grid.room_for_snapshot()
@@ -258,7 +269,7 @@ class LiveMap:
     def _current_snapshot(self, room: Tiles | None) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
         known = self._snapshot
-        if known is None or (known.epoch, known.revision) != (self._grid.epoch, self._grid.revision):
+        if known is None or Identity.of(known) != Identity.of(self._grid):
             known = self._snapshot = self._grid.snapshot(room)
             self._view = cast(TileView, known.stored)
             self._copied = self._view.tiles.nbytes

@@ -78,7 +78,7 @@ class Monitor:
         self._rest = REST * (time.monotonic() - began)
 
     def _look(self) -> None:
-        epoch, revision, _ = self._map.now
+        epoch, _, revision, _ = self._map.now
         began = time.monotonic()
         if self.series.due(epoch, revision, began):
             snapshot = self._map.snapshot()

@@ -27,8 +27,8 @@ _UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
 """Stored cells are rounded: what is undecided keeps this far away from "occupied"."""
 
 
-def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
-    """The map that the settings describe, before any scan.
+def started_grid(settings: Settings, epoch: str, run: str = "") -> OccupancyGrid:
+    """The map that the settings describe, before any scan; `epoch` and `run` as `OccupancyGrid` has them.
 
     With `mapper.start_map` the lattice is the file's: its resolution, and its anchor; a ROS map's is its
     origin.
@@ -40,16 +40,16 @@ def started_grid(settings: Settings, epoch: str) -> OccupancyGrid:
     """
     path = settings.mapper.start_map
     if path is None:
-        return OccupancyGrid(settings.grid_settings(), epoch)
+        return OccupancyGrid(settings.grid_settings(), epoch, run)
     try:
-        return (_grid_of_npz if is_npz(path) else _grid_of_ros_map)(settings, epoch, path)
+        return (_grid_of_npz if is_npz(path) else _grid_of_ros_map)(settings, epoch, run, path)
     except LimitReached as error:
         raise BadSetting(
             f"mapper.start_map: {path}: {error}; raise the limit, or start with a smaller map"
         ) from error
 
 
-def _grid_of_ros_map(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
+def _grid_of_ros_map(settings: Settings, epoch: str, run: str, path: Path) -> OccupancyGrid:
     # Here, because what reads pictures loads slowly, and most maps start empty.
     from ogm_core.files.ros_map_reader import read_ros_map
 
@@ -57,13 +57,13 @@ def _grid_of_ros_map(settings: Settings, epoch: str, path: Path) -> OccupancyGri
     _check_not_turned(ros_map, path)
     _check_resolution(settings, ros_map.resolution, path)
     grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
-    grid = OccupancyGrid(grid_settings, epoch)
+    grid = OccupancyGrid(grid_settings, epoch, run)
     cells = start_cells(ros_map.occupancy, _log_odds(grid.model), settings.mapper.start_confidence)
     grid.begin_with({PLANE: cells})
     return grid
 
 
-def _grid_of_npz(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
+def _grid_of_npz(settings: Settings, epoch: str, run: str, path: Path) -> OccupancyGrid:
     """The map that was saved, value for value: known cells keep their log odds, whatever the prior is now."""
     largest = settings.mapper.max_cells * np.dtype(np.float64).itemsize
     npz = load_npz(path, max_bytes=max(largest, MAX_NPZ_BYTES))
@@ -73,7 +73,7 @@ def _grid_of_npz(settings: Settings, epoch: str, path: Path) -> OccupancyGrid:
             f"mapper.start_confidence: {path} has its cells' log odds, which stay as they are: leave it out"
         )
     grid_settings = replace(settings.grid_settings(), resolution=npz.resolution, anchor=npz.anchor)
-    grid = OccupancyGrid(grid_settings, epoch)
+    grid = OccupancyGrid(grid_settings, epoch, run)
     if grid.lattice.anchor != npz.anchor:
         raise BadSetting(
             f"map.bounds: they begin at {grid.lattice.anchor}, and the cells of mapper.start_map {path} are "

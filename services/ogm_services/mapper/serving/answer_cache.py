@@ -40,7 +40,7 @@ class AnswerCache:
         self._now = now
         self._room = room
         self._lock = threading.Lock()
-        self._of = Identity("", -1, None)
+        self._of = Identity("", "", -1, None)
         self._answers: dict[object, Answer] = {}
         self._size = 0
         self._turns: dict[object, _Turn] = {}
@@ -58,7 +58,7 @@ class AnswerCache:
     def find(self, key: object, asked: Identity) -> Answer | None:
         """What is kept under this key, if it is new enough for who asked when the map was `asked`."""
         with self._lock:
-            new_enough = self._of.epoch == asked.epoch and self._of.revision >= asked.revision
+            new_enough = self._of.life == asked.life and self._of.revision >= asked.revision
             return self._answers.get(key) if new_enough else None
 
     def keep(self, key: object, of: Identity, answer: Answer) -> None:
@@ -66,9 +66,9 @@ class AnswerCache:
         size = len(answer.body) + len(repr(key)) + BYTES_BESIDES
         with self._lock:
             # Asked under the lock: what is kept of a new epoch was kept after the reset that began it.
-            if of.epoch != self._now().epoch:
+            if of.life != self._now().life:
                 return
-            if self._of.epoch == of.epoch and self._of.revision > of.revision:
+            if self._of.life == of.life and self._of.revision > of.revision:
                 return
             if self._of != of or self._size + size > self._room:
                 self._of, self._answers, self._size = of, {}, 0

@@ -193,7 +193,7 @@ class Answers:
             else:
                 body = wanted.encode(shown, self._map_name, given)
         answer = Answer(body, wanted.media_type, shown.meta())
-        self._cache.keep(key, Identity(snapshot.epoch, snapshot.revision, snapshot.stamp), answer)
+        self._cache.keep(key, Identity.of(snapshot), answer)
         if self._memory is not None:
             self._memory.make_room()
         return answer
@@ -255,12 +255,13 @@ class Answers:
 
     def _new_status(self) -> Status:
         counts = self._receipts.status(time.monotonic())
-        epoch, revision, stamp = self._map.now
+        now = self._map.now
         return Status(
             map=self._map_name,
-            epoch=epoch,
-            revision=revision,
-            stamp=stamp,
+            epoch=now.epoch,
+            run=now.run,
+            revision=now.revision,
+            stamp=now.stamp,
             scans=counts.scans,
             poses=counts.poses,
             other=counts.other,

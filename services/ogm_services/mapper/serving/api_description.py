@@ -49,6 +49,15 @@ _PROBLEMS = {
     421: "The Host header is no name of this mapper",
     503: "The mapper is starting, stopping or busy: Retry-After says when to ask again",
 }
+_MAP_HEADERS = {
+    "ETag": '"<epoch>-<run>-<revision>", the validator for If-None-Match and If-Match',
+    "OGM-Resolution": "Metres per pixel",
+    "OGM-Origin": "x,y of the lower-left corner, metres",
+    "OGM-Epoch": "Id of the map's life: another one since it was made or emptied",
+    "OGM-Run": "Id of the mapper's process: another one since it was started",
+    "OGM-Revision": "Scans integrated in this life",
+    "OGM-Stamp": "That of the newest integrated scan, ns since the Unix epoch, or null",
+}
 _OF_EVERY_ROUTE = (400, 421)
 
 
@@ -85,5 +94,10 @@ def probe_responses() -> Responses:
 
 def map_responses(media_type: str) -> Responses:
     """What a map's route may answer, validators included."""
-    unchanged = {"description": "The map is the one that If-None-Match names"}
-    return {**responses(media_type, problems=(404, 412, 503)), 304: unchanged}
+    headers = {
+        name: {"description": said, "schema": {"type": "string"}} for name, said in _MAP_HEADERS.items()
+    }
+    described = responses(media_type, problems=(404, 412, 503))
+    described[200]["headers"] = headers
+    unchanged = {"description": "The map is the one that If-None-Match names", "headers": headers}
+    return {**described, 304: unchanged}

@@ -57,7 +57,7 @@ class ReadyMaps:
     def keep(self, request: Request, answer: Answer) -> Response:
         """The response to a request for a map, kept if the map is still the same."""
         ready, now = _ReadyMap(answer), self._answers.now()
-        if ready.of == now[:2]:
+        if ready.of == now[:3]:
             asked = request.scope["path"], request.scope["query_string"]
             size = len(answer.body) + sum(map(len, asked)) + BYTES_BESIDES
             room = self._answers.cache_room
@@ -75,7 +75,7 @@ class _ReadyMap:
 
     def __init__(self, answer: Answer) -> None:
         headers = _map_headers(answer)
-        self.of = headers["OGM-Epoch"], int(headers["OGM-Revision"])
+        self.of = headers["OGM-Epoch"], headers["OGM-Run"], int(headers["OGM-Revision"])
         self._etag = headers["ETag"]
         self._whole = Response(answer.body, media_type=answer.media_type, headers=headers)
         self._not_modified = Response(status_code=304, headers=headers)
@@ -102,6 +102,7 @@ def _map_headers(answer: Answer) -> dict[str, str]:
         "OGM-Resolution": repr(meta["resolution"]),
         "OGM-Origin": f"{origin['x']!r},{origin['y']!r}",
         "OGM-Epoch": meta["epoch"],
+        "OGM-Run": meta["run"],
         "OGM-Revision": str(meta["revision"]),
         "OGM-Stamp": "null" if meta["stamp"] is None else str(meta["stamp"]),
     }
