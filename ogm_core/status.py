@@ -15,13 +15,19 @@ GONE_AFTER = 60.0
 
 @dataclass(frozen=True, slots=True)
 class ScanCounts:
-    """Scans of all robots: received = integrated + pending + the sum of those dropped, at every moment."""
+    """Scans of all robots: received = integrated + pending + the sum of those dropped, at every moment.
+
+    Not part of those received: `lost` ones, which never arrived and cannot be had again, as the gaps in their
+    sources' seqs tell; and `replayed` ones, which came again after it was decided what becomes of them.
+    """
 
     received: int
     integrated: int
     pending: int
     dropped: dict[str, int]
     """How many will never be in the map, by reason; another mapper may know other reasons."""
+    lost: int = 0
+    replayed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +36,7 @@ class PoseCounts:
 
     `late`, `outlier`, `superseded`, `malformed` and `refused` ones, those of one robot too many, are not
     used; with a `restarted` one a robot's time begins anew, and an `ambiguous` one has the stamp of another
-    that says something else.
+    that says something else. `lost` and `replayed` ones are not part of those received, as with scans.
     """
 
     received: int
@@ -41,12 +47,14 @@ class PoseCounts:
     outlier: int = 0
     superseded: int = 0
     refused: int = 0
+    lost: int = 0
+    replayed: int = 0
 
     @property
     def odd(self) -> dict[str, int]:
-        """What was odd about how many, without what was odd about none."""
-        counts = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "received"}
-        return {what: count for what, count in counts.items() if count}
+        """What was odd about how many of those received, without what was odd about none."""
+        names = [field.name for field in fields(self) if field.name not in ("received", "lost", "replayed")]
+        return {name: count for name in names if (count := getattr(self, name))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +68,8 @@ class OtherCounts:
 class SourceStatus:
     """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue.
 
-    `dropped` holds the reasons that occurred, with counts; `hints` names what looks wrong with its data.
+    `dropped` holds the reasons that occurred, with counts; `hints` names what looks wrong with its data;
+    `lost` are those that never arrived.
     """
 
     run: str
@@ -70,6 +79,7 @@ class SourceStatus:
     integrated: int
     dropped: dict[str, int] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
+    lost: int = 0
 
 
 @dataclass(frozen=True, slots=True)

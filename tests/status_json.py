@@ -7,7 +7,11 @@ from ogm_core.status import MapInfo, OtherCounts, PoseCounts, RobotStatus, ScanC
 from ogm_core.types import Pose
 
 NO_POSES = dict.fromkeys(
-    ("received", "malformed", "late", "restarted", "ambiguous", "outlier", "superseded", "refused"), 0
+    (
+        *("received", "malformed", "late", "restarted", "ambiguous", "outlier", "superseded", "refused"),
+        *("lost", "replayed"),
+    ),
+    0,
 )
 """The counts of poses of a mapper that has had none."""
 
@@ -17,9 +21,20 @@ STATUS = Status(
     run="r1",
     revision=41,
     stamp=1_700_000_000_500_000_001,
-    scans=ScanCounts(received=50, integrated=41, pending=2, dropped={"malformed": 0, "no_pose": 7}),
+    scans=ScanCounts(
+        received=50, integrated=41, pending=2, dropped={"malformed": 0, "no_pose": 7}, lost=8, replayed=9
+    ),
     poses=PoseCounts(
-        received=60, malformed=1, late=3, restarted=2, ambiguous=4, outlier=5, superseded=6, refused=7
+        received=60,
+        malformed=1,
+        late=3,
+        restarted=2,
+        ambiguous=4,
+        outlier=5,
+        superseded=6,
+        refused=7,
+        lost=10,
+        replayed=11,
     ),
     other=OtherCounts(ignored=5),
     map_info=MapInfo(known_cells=1234, bytes=2_500_000, width=400, height=300, resolution=0.05),
@@ -38,6 +53,7 @@ STATUS = Status(
                     integrated=33,
                     dropped={"no_pose": 5},
                     hints=["range_max"],
+                    lost=8,
                 )
             },
         ),

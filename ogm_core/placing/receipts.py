@@ -36,6 +36,7 @@ class _Sensor:
     integrated: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     hints: list[str] = field(default_factory=list)
+    lost: int = 0
     told: SourceStatus | None = None
     """What its status was, until it changes: of thousands few change between two who ask."""
 
@@ -46,7 +47,8 @@ class _Sensor:
     def status(self) -> SourceStatus:
         if self.told is None:
             counts = self.received, self.pending, self.integrated
-            self.told = SourceStatus(self.run, self.last_seq, *counts, dict(self.dropped), list(self.hints))
+            dropped, hints = dict(self.dropped), list(self.hints)
+            self.told = SourceStatus(self.run, self.last_seq, *counts, dropped, hints, self.lost)
         return self.told
 
 
@@ -93,7 +95,8 @@ class Receipts:
     """Counts of poses and scans. Any thread; one lock, held for a few assignments.
 
     A scan is received once, and later either integrated or dropped for one reason: what is neither yet is
-    pending, so received = integrated + pending + dropped at every moment.
+    pending, so received = integrated + pending + dropped at every moment. What never came, and cannot be had
+    again, is lost; what comes again though it was decided before is replayed: neither is received.
 
     Every robot and sensor has counts of its own, up to MAX_ROBOTS robots and MAX_SENSORS sensors of each; the
     messages of more are refused: counted in all, and to be handed on to nobody. A robot that is gone, by the
@@ -108,6 +111,8 @@ class Receipts:
         """Of all robots, those that have no counts of their own, too."""
         self._poses: Counter[str] = Counter()
         self._ignored = 0
+        self._replayed = 0
+        """Scans that came again."""
 
     def pose_received(self, robot: str, now: float | None = None) -> bool:
         """Count a pose at its arrival; False: it is refused, and counted so."""
@@ -130,6 +135,27 @@ class Receipts:
                 entry.sensors[sensor] = _Sensor()
             self._changing(robot, sensor).received += 1
             return True
+
+    def scan_lost(self, robot: str, sensor: str, count: int = 1) -> None:
+        """Count scans of a source that never came, and that nobody has any more."""
+        with self._lock:
+            self._scans.lost += count
+            self._changing(robot, sensor).lost += count
+
+    def pose_lost(self, robot: str, count: int = 1) -> None:
+        """Count poses that never came, likewise."""
+        with self._lock:
+            self._poses["lost"] += count
+
+    def scan_replayed(self, robot: str, sensor: str, count: int = 1) -> None:
+        """Count scans that have come again, of which it was decided before what becomes of them."""
+        with self._lock:
+            self._replayed += count
+
+    def pose_replayed(self, robot: str, count: int = 1) -> None:
+        """Count poses that have come again, likewise."""
+        with self._lock:
+            self._poses["replayed"] += count
 
     def admits(self, robot: str, now: float | None = None) -> bool:
         """Whether a robot has counts of its own, or gets them now: there is a last one."""
@@ -214,6 +240,8 @@ class Receipts:
                     integrated=scans.integrated,
                     pending=scans.pending,
                     dropped={reason: scans.dropped[reason] for reason in DROP_REASONS},
+                    lost=scans.lost,
+                    replayed=self._replayed,
                 ),
                 poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),

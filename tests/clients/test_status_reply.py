@@ -40,14 +40,15 @@ def test_what_only_a_newer_mapper_says_is_passed_over():
 def test_reasons_that_an_older_mapper_does_not_know_are_not_needed():
     older = sent()
     older["scans"]["dropped"] = {}
-    for name in ("restarted", "ambiguous", "outlier", "superseded", "refused"):
+    del older["scans"]["lost"], older["scans"]["replayed"], older["run"]
+    for name in ("restarted", "ambiguous", "outlier", "superseded", "refused", "lost", "replayed"):
         del older["poses"][name]
     for name in ("alive", "age_s"):
         del older["robots"]["r2"][name]
-    for name in ("dropped", "hints"):
+    for name in ("dropped", "hints", "lost"):
         del older["robots"]["r2"]["sources"]["front"][name]
     status = read(older)
-    assert status.scans.dropped == {}
+    assert (status.scans.dropped, status.scans.lost, status.scans.replayed, status.run) == ({}, 0, 0, "")
     assert status.poses == PoseCounts(received=60, malformed=1, late=3)
     robot = status.robots["r2"]
     assert (robot.pose, robot.alive, robot.age_s) == (Pose(1.0, -2.5, 0.1), False, None)

@@ -3,10 +3,11 @@
 import json
 import os
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from ogm_client import MapperError
@@ -15,8 +16,10 @@ from ogm_client.status_reply import read_status
 from ogm_core.files.file_names import ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.placing.receipts import DROP_REASONS
+from ogm_core.status import PoseCounts, ScanCounts
 from ogm_services.cli import app
-from ogm_services.commands.status import WHAT_HELPS
+from ogm_services.commands.status import LOST_HELPS, WHAT_HELPS, status_tables
+from status_json import STATUS as FULL_STATUS
 
 STATUS = {
     "map": "hall",
@@ -292,6 +295,18 @@ def test_status_as_a_table(ogm, mapper):
     text = " ".join(result.stdout.split())
     assert "another publisher has taken over the robot's name" in text
     assert "give every robot" in text
+
+
+def test_what_is_lost_and_what_came_again_stand_in_the_tables():
+    console = Console(record=True, width=200)
+    for table in status_tables(FULL_STATUS):
+        console.print(table)
+    lines = [" ".join(line.split()) for line in console.export_text().splitlines()]
+    assert {"lost 8 scans, 10 poses", "replayed 9 scans, 11 poses"} <= set(lines)
+    assert f"r2/front 8 lost {LOST_HELPS}" in lines
+    quiet = replace(FULL_STATUS, scans=ScanCounts(0, 0, 0, {}), poses=PoseCounts(0, 0, 0), robots={})
+    console.print(status_tables(quiet)[0])
+    assert not {"lost", "replayed"} & set(console.export_text().split())
 
 
 def test_every_reason_has_a_cure():

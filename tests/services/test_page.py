@@ -88,7 +88,7 @@ def rows(dom, table):
 
 
 def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
-    front = SourceStatus("a", 9, 12, 1, 4, {"no_pose": 5, "superseded": 2}, ["range_max"])
+    front = SourceStatus("a", 9, 12, 1, 4, {"no_pose": 5, "superseded": 2}, ["range_max"], 3)
     status = replace(
         STATUS,
         map_info=replace(STATUS.map_info, width=0, height=0),
@@ -115,10 +115,15 @@ def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
         "poses outlier": "5",
         "poses superseded": "6",
         "poses refused": "7",
+        "poses lost": "10",
     }
+    facts = dict(rows(dom, "facts"))
+    assert facts["scans lost"] == "8"
+    assert not [name for name in facts if "replayed" in name]
     assert rows(dom, "reasons") == [
         ["here/front: no_pose", "5"],
         ["here/front: superseded", "2"],
+        ["here/front: lost", "3"],
         ["here/front: hint range_max", "see the log"],
     ]
     assert '<section id="wrong">' in dom

@@ -7,17 +7,19 @@ import pytest
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
 from ogm_core.placing.rules import FORGOTTEN_AFTER
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.status import SourceStatus
 from ogm_core.types import Pose
 from status_json import NO_POSES, as_json
 
 NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
 NOWHERE = {"pose": None, "stamp": None, "alive": False, "age_s": None, "sources": {}}
-QUIET = {"dropped": {}, "hints": []}
+QUIET = {"dropped": {}, "hints": [], "lost": 0}
+NOTHING_BESIDE = {"lost": 0, "replayed": 0}
 
 
 def test_an_empty_ledger_has_every_name_of_the_status():
     assert as_json(Receipts().status()) == {
-        "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED},
+        "scans": {"received": 0, "integrated": 0, "pending": 0, "dropped": NOTHING_DROPPED} | NOTHING_BESIDE,
         "poses": NO_POSES,
         "other": {"ignored": 0},
         "robots": {},
@@ -43,14 +45,37 @@ def test_scans_are_counted_by_source_and_in_total():
         "integrated": 1,
         "pending": 2,
         "dropped": {**NOTHING_DROPPED, "stale": 1, "malformed": 1},
+        **NOTHING_BESIDE,
     }
     assert status["robots"]["a"]["sources"] == {
         "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1} | QUIET,
         "t": {"run": "", "last_seq": None, "received": 1, "pending": 1, "integrated": 0} | QUIET,
     }
-    dropped = {"dropped": {"stale": 1, "malformed": 1}, "hints": []}
+    dropped = {"dropped": {"stale": 1, "malformed": 1}, "hints": [], "lost": 0}
     assert status["robots"]["b"]["sources"] == {
         "s": {"run": "run2", "last_seq": 9, "received": 2, "pending": 0, "integrated": 0} | dropped
+    }
+
+
+def test_what_is_lost_or_comes_again_is_not_received():
+    receipts = Receipts()
+    receipts.scan_received("a", "s")
+    receipts.pose_received("a")
+    receipts.scan_lost("a", "s", 3)
+    receipts.scan_lost("a", "s")
+    receipts.scan_lost("a", "never heard", 5)
+    receipts.scan_lost("nobody", "s", 7)
+    receipts.pose_lost("a", 11)
+    receipts.pose_lost("nobody")
+    receipts.scan_replayed("a", "s", 13)
+    receipts.scan_replayed("nobody", "s")
+    receipts.pose_replayed("a", 17)
+    status = receipts.status()
+    scans, poses = status.scans, status.poses
+    assert (scans.received, scans.pending, scans.lost, scans.replayed) == (1, 1, 16, 14)
+    assert (poses.received, poses.lost, poses.replayed, poses.odd) == (1, 12, 17, {})
+    assert {name: robot.sources for name, robot in status.robots.items()} == {
+        "a": {"s": SourceStatus("", None, 1, 1, 0, lost=4)}
     }
 
 
@@ -65,6 +90,7 @@ def test_a_dropped_scan_is_not_pending(reason):
         "integrated": 0,
         "pending": 0,
         "dropped": {**NOTHING_DROPPED, reason: 1},
+        **NOTHING_BESIDE,
     }
 
 
@@ -193,6 +219,7 @@ def test_a_sensors_status_is_new_after_every_change():
         (lambda: receipts.scan_integrated("r", "s"), "integrated", 1),
         (lambda: receipts.scan_dropped("r", "s", "stale"), "dropped", {"stale": 1}),
         (lambda: receipts.hint("r", "s", "odd"), "hints", ["odd"]),
+        (lambda: receipts.scan_lost("r", "s", 3), "lost", 3),
     ]
     receipts.scan_received("r", "s")
     for change, field, value in changes:

@@ -22,6 +22,9 @@ WHAT_HELPS: Mapping[str, str] = {
     "refused": "of too many robots, or sensors of a robot: use the same names at every start",
 }
 """Why scans are dropped, and what to do, by reason."""
+LOST_HELPS = (
+    "never arrived, and nobody has them any more: a publisher keeps its newest cache_samples, while it runs"
+)
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"
 
 
@@ -56,6 +59,8 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "a second": rates.in_words() if rates else "",
         "dropped": _nonzero(scans.dropped),
         "poses": _poses(status.poses),
+        "lost": _scans_and_poses(scans.lost, status.poses.lost),
+        "replayed": _scans_and_poses(scans.replayed, status.poses.replayed),
         "ignored": status.other.ignored,
         "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
         "known": f"{info.known_cells} cells",
@@ -100,12 +105,14 @@ def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
 
 
 def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
-    """A row for every reason that scans of a sensor were dropped for, and for every hint."""
+    """A row for every reason that scans of a sensor were dropped for, for those lost, and for every hint."""
     table = _table("source", "not in the map", "what helps")
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
             for reason, count in source.dropped.items():
                 table.add_row(f"{name}/{sensor}", f"{count} {reason}", WHAT_HELPS.get(reason, ""))
+            if source.lost:
+                table.add_row(f"{name}/{sensor}", f"{source.lost} lost", LOST_HELPS)
             for hint in source.hints:
                 table.add_row(f"{name}/{sensor}", f"hint: {hint}", HINT_HELPS)
     return table
@@ -123,6 +130,11 @@ def _table(*left: str, right: tuple[str, ...] = ()) -> Table:
 def _poses(poses: PoseCounts) -> str:
     """Those received, and of the odd ones those that there are."""
     return ", ".join([f"{poses.received} received", *(f"{n} {what}" for what, n in poses.odd.items())])
+
+
+def _scans_and_poses(scans: int, poses: int) -> str:
+    """How many of each, "" if there are none."""
+    return ", ".join(f"{count} {what}" for count, what in ((scans, "scans"), (poses, "poses")) if count)
 
 
 def _nonzero(dropped: Mapping[str, int]) -> str:

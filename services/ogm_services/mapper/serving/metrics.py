@@ -102,8 +102,10 @@ def _scans(scans: ScanCounts) -> Iterator[Metric]:
     yield CounterMetricFamily("ogm_scans_received_total", "Scans that arrived.", scans.received)
     yield CounterMetricFamily("ogm_scans_integrated_total", "Scans that are in the map.", scans.integrated)
     yield gauge("ogm_scans_pending", "Scans that wait.", scans.pending)
-    lost = "Scans that will never be in the map."
-    yield _counters("ogm_scans_dropped_total", lost, "reason", scans.dropped)
+    dropped = "Scans that will never be in the map."
+    yield _counters("ogm_scans_dropped_total", dropped, "reason", scans.dropped)
+    yield CounterMetricFamily("ogm_scans_lost_total", "Scans that never arrived.", scans.lost)
+    yield CounterMetricFamily("ogm_scans_replayed_total", "Scans that came again.", scans.replayed)
 
 
 def _poses(poses: PoseCounts) -> Iterator[Metric]:
@@ -115,6 +117,8 @@ def _poses(poses: PoseCounts) -> Iterator[Metric]:
     yield CounterMetricFamily(
         "ogm_poses_ambiguous_total", "Poses with the stamp of another.", poses.ambiguous
     )
+    yield CounterMetricFamily("ogm_poses_lost_total", "Poses that never arrived.", poses.lost)
+    yield CounterMetricFamily("ogm_poses_replayed_total", "Poses that came again.", poses.replayed)
 
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
