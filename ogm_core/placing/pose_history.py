@@ -5,6 +5,7 @@ from array import array
 from bisect import bisect_left
 from itertools import pairwise
 from struct import Struct
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,24 @@ _NEAR_M = 0.01
 _NEAR_RAD = math.radians(0.5)
 
 
+class HistoryState(NamedTuple):
+    """Poses of a history, of the `first` to before the `end`, counted from the one that it began with.
+
+    `stamps` (int64, ns), `poses` (float64; x, y in m and theta in rad of each) and `ambiguous` (bytes, 1
+    where the stamp is) are buffers that nobody changes any more.
+    """
+
+    first: int
+    stamps: memoryview | NDArray[np.int64]
+    poses: memoryview | NDArray[np.float64]
+    ambiguous: bytes
+
+    @property
+    def end(self) -> int:
+        """One past the number of the newest."""
+        return self.first + len(self.stamps)
+
+
 class PoseHistory:
     """The newest poses of one robot, in the order of their stamps (ns, below 2^63).
 
@@ -36,7 +55,7 @@ class PoseHistory:
     time, unless the two are nearly equal. Nor is anything said by a pose whose stamp is ambiguous.
 
     Poses lie in arrays of a fixed size, a quarter larger than is needed; the next ones take their place when
-    they are full. So what `stamps` and `poses` show stays as it is, whatever comes later.
+    they are full. So what `state` shows stays as it is, whatever comes later.
     """
 
     def __init__(self, rules: PlacingRules = DEFAULT_RULES, held: Held | None = None) -> None:
@@ -51,6 +70,8 @@ class PoseHistory:
         """1 where the stamp is."""
         self._start = self._end = 0
         """Which part of them is kept."""
+        self._moved = 0
+        """The number of the first one in the arrays."""
         self._newest_pose = IDENTITY
 
     def __len__(self) -> int:
@@ -62,14 +83,21 @@ class PoseHistory:
         return len(self._stamps) * POSE_BYTES
 
     @property
-    def stamps(self) -> memoryview:
-        """The kept stamps, int64, ns: shape (N,), read-only."""
-        return memoryview(self._stamps)[self._start : self._end].toreadonly()
+    def state(self) -> HistoryState:
+        """What is kept. Poses are not copied: those that are there never change."""
+        start, end = self._start, self._end
+        stamps = memoryview(self._stamps)[start:end].toreadonly()
+        poses = memoryview(self._poses)[3 * start : 3 * end].toreadonly()
+        return HistoryState(self._moved + start, stamps, poses, bytes(self._ambiguous[start:end]))
 
-    @property
-    def poses(self) -> memoryview:
-        """The kept poses, float64: shape (3 N,), x and y in m and theta in rad of each, read-only."""
-        return memoryview(self._poses)[3 * self._start : 3 * self._end].toreadonly()
+    def restore(self, state: HistoryState) -> None:
+        """Go on from such a state, in a history without a pose."""
+        self._stamps, self._poses = array("q", bytes(state.stamps)), array("d", bytes(state.poses))
+        self._ambiguous = bytearray(state.ambiguous)
+        self._moved, self._end = state.first, len(self._stamps)
+        if self._end:
+            self._newest_pose = self._pose(self._end - 1)
+        self._held.add(self.nbytes)
 
     @property
     def oldest(self) -> int | None:
@@ -166,6 +194,7 @@ class PoseHistory:
         self._stamps = self._stamps[start:end] + array("q", bytes(8 * more))
         self._poses = self._poses[3 * start : 3 * end] + array("d", bytes(24 * more))
         self._ambiguous = self._ambiguous[start:end] + bytes(more)
+        self._moved += start
         self._start, self._end = 0, kept
         self._held.add(self.nbytes - before)
 

@@ -60,6 +60,8 @@ class _Robot:
     heard: float | None = None
     seen: float | None = None
     """When it was heard, or its token came or went, s; None where no times are told."""
+    restored: bool = False
+    """Whether it is known from an earlier life of the mapper."""
     sensors: dict[str, _Sensor] = field(default_factory=dict)
 
     def seen_at(self, now: float | None) -> None:
@@ -76,7 +78,7 @@ class _Robot:
         if self.runs_alive or self.seen is None:
             return False
         # Of one that was never heard nothing is worth its place: tokens cost a stranger nothing.
-        return self.heard is None or now - self.seen > FORGOTTEN_AFTER
+        return (self.heard is None and not self.restored) or now - self.seen > FORGOTTEN_AFTER
 
     def status(self, now: float | None) -> RobotStatus:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
@@ -161,6 +163,17 @@ class Receipts:
         """Whether a robot has counts of its own, or gets them now: there is a last one."""
         with self._lock:
             return self._admitted(robot, now) is not None
+
+    def restored(self, robot: str, now: float | None = None) -> bool:
+        """Know a robot from an earlier life of the mapper, for as long as if it had been heard now.
+
+        False if it is one too many.
+        """
+        with self._lock:
+            entry = self._admitted(robot, now)
+            if entry is not None:
+                entry.restored = True
+            return entry is not None
 
     def gone(self, now: float) -> list[str]:
         """Robots that are not alive, and were never heard, or neither heard nor alive for FORGOTTEN_AFTER."""

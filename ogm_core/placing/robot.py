@@ -1,14 +1,29 @@
 """All that is known of one robot, and what of it can be let go where robots hold too much memory."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ogm_core.placing.held import Held
 from ogm_core.placing.robot_poses import RobotPoses
+from ogm_core.placing.runs import Runs
 from ogm_core.placing.source import Source
+from ogm_core.placing.state import RobotState
 from ogm_core.placing.waiting import WaitingScans
 
 MAX_GONE = 64
 """So many runs that are gone are remembered of a robot."""
+
+
+class Expected(NamedTuple):
+    """A scan that waited when the state was taken from which a placer goes on."""
+
+    sensor: str
+    run: str
+    seq: int
+    stamp: int
+    number: int
+    """Of the message, as of one that waits."""
 
 
 @dataclass(slots=True)
@@ -25,6 +40,79 @@ class Robot:
     gone: dict[str, None] = field(default_factory=dict)
     """Runs whose liveliness token was there and is no more, the last one at the end."""
 
+    life: int = 0
+    """Tells it from another of the same name, which was forgotten."""
+    seqs: Runs = field(init=False)
+    """Of its poses: all that were taken, whatever was believed, and those that never will be."""
+    expected: list[Expected] = field(default_factory=list)
+    told: RobotState | None = None
+    """The state that was told last, until it changes."""
+
+    def __post_init__(self) -> None:
+        self.seqs = Runs(self.held)
+
+    def runs_of(self, sensor: str | None) -> Runs | None:
+        """The seqs of a sensor's scans, or of the poses; None if there is no such sensor."""
+        if sensor is None:
+            return self.seqs
+        source = self.sources.get(sensor)
+        return None if source is None else source.runs
+
+    def undecided(self, sensor: str | None, run: str) -> list[int]:
+        """Seqs of the scans that wait, or did when the state was taken that it goes on from. Any thread."""
+        waiting = [
+            item.scan.seq for item in self.waiting.copy() if (item.sensor, item.scan.run) == (sensor, run)
+        ]
+        return waiting + [item.seq for item in self.expected if (item.sensor, item.run) == (sensor, run)]
+
+    def take_expected(self, sensor: str, run: str, seq: int, stamp: int) -> Expected | None:
+        """Expect a scan no longer, for here it is; None if it is no such one."""
+        for n, item in enumerate(self.expected):
+            if item[:4] == (sensor, run, seq, stamp):
+                self.expected = self.expected[:n] + self.expected[n + 1 :]
+                return item
+        return None
+
+    def forget_expected(self, which: Callable[[Expected], bool]) -> None:
+        """Expect some scans no longer: should they come all the same, they are duplicates."""
+        if self.expected:
+            self.expected = [item for item in self.expected if not which(item)]
+
+    def forget_skipped(self, sensor: str | None, run: str, seqs: range) -> None:
+        """Expect scans no longer that are lost."""
+        self.forget_expected(lambda item: (item.sensor, item.run) == (sensor, run) and item.seq in seqs)
+
+    def state(self, serial: int, messages: int) -> RobotState:
+        """All that decides where its scans go; `serial` and `messages` as RobotState has them."""
+        if self.told is None:
+            waiting = [
+                Expected(item.sensor, item.scan.run, item.scan.seq, item.scan.stamp, item.number)
+                for item in self.waiting
+            ]
+            head = {
+                "messages": messages,
+                "life": self.life,
+                "poses": self.poses.state(),
+                "seqs": self.seqs.state(),
+                "gone": tuple(self.gone),
+                "sources": {name: source.state() for name, source in self.sources.items()},
+                "waiting": sorted(self.expected + waiting, key=lambda item: item.number),
+            }
+            self.told = RobotState(serial, self.life, self.poses.histories, head, self.poses.history.state)
+        return self.told
+
+    def restore(self, name: str, state: RobotState) -> None:
+        """Go on from such a state, in a robot of which nothing is known yet."""
+        head = state.head
+        self.poses.restore(head["poses"], state.history)
+        self.seqs.restore(head["seqs"])
+        self.gone = dict.fromkeys(head["gone"])
+        for sensor, told in head["sources"].items():
+            source = self.sources[sensor] = Source(f"{name}/{sensor}", self.held)
+            source.restore(told)
+        self.expected = [Expected(*item) for item in head["waiting"]]
+        self.told = state
+
     def note_gone(self, run: str) -> None:
         """Remember a run that is gone."""
         self.gone[run] = None
@@ -37,8 +125,8 @@ class Robot:
         before, count = self.held.nbytes, len(history)
         if history.shorten():
             return f"of its {count} poses the newest {len(history)} are kept"
-        for source in self.sources.values():
-            source.forget_most()
+        for runs in (self.seqs, *(source.runs for source in self.sources.values())):
+            runs.forget_most()
         if self.held.nbytes < before:
             return (
                 "of each of its sensors the last run is kept, and all seqs before its last one count as seen"

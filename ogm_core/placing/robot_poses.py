@@ -7,11 +7,11 @@ that do not belong together.
 """
 
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ogm_core.placing import reasons
 from ogm_core.placing.held import Held
-from ogm_core.placing.pose_history import PoseHistory, nearly_equal
+from ogm_core.placing.pose_history import HistoryState, PoseHistory, nearly_equal
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import PoseNote
 from ogm_core.placing.rules import JITTER_NS, PlacingRules, remember
@@ -174,6 +174,30 @@ class RobotPoses:
         self._outliers.clear()
         self.histories += 1
         return Verdict(True, began=why)
+
+    def state(self) -> dict[str, Any]:
+        """What decides what is believed, but for the history, as values that do not change any more."""
+        return {
+            "owner": self.owner,
+            "replaced": tuple(self.replaced),
+            "histories": self.histories,
+            "provisional": self._provisional,
+            "doubted": self._doubted,
+            "last_seq": self._last_seq,
+            "late": tuple(self._late),
+            "outliers": tuple(self._outliers),
+        }
+
+    def restore(self, state: dict[str, Any], history: HistoryState) -> None:
+        """Go on from such a state, and that of the history."""
+        self.owner, self.histories, self._doubted = state["owner"], state["histories"], state["doubted"]
+        self.replaced = list(state["replaced"])
+        if state["provisional"] is not None:
+            stamp, pose = state["provisional"]
+            self._provisional = stamp, Pose(*pose)
+        self._last_seq, self._late = state["last_seq"], list(state["late"])
+        self._outliers.extend(state["outliers"])
+        self._history.restore(history)
 
 
 def _clock_of(sensor: str) -> str:

@@ -7,14 +7,16 @@ from typing import Protocol, cast
 
 from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
+from ogm_core.placing.decided import Decided
 from ogm_core.placing.held import Held
 from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
-from ogm_core.placing.robot import Robot
+from ogm_core.placing.robot import Expected, Robot
 from ogm_core.placing.robot_poses import RobotPoses, Verdict
 from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING_SCANS, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
+from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits, WaitingScans
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
@@ -70,7 +72,9 @@ class ScanPlacer:
         self._rules = rules
         self._hints = hints or Hints()
         self._robots: dict[str, Robot] = {}
+        self.decided = Decided(self._robots)
         self._messages = 0
+        self._states = 0
         self._waiting = Held()
         self._limits = limits
         self._kept = Held()
@@ -90,11 +94,13 @@ class ScanPlacer:
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
         self._messages += 1
+        self._take_skipped(now)
         robot = self._robot(name, now)
         if robot is None:
             self._receipts.pose_noted("refused")
             self._complain(ROBOTS, *reasons.too_many_robots(name))
             return
+        robot.seqs.note(message.run, message.seq)
         poses = robot.poses
         stepped = next((source.name for source in robot.sources.values() if source.step_at is not None), "")
         verdict = poses.add(message, stepped=stepped, released=poses.owner in robot.gone)
@@ -119,19 +125,22 @@ class ScanPlacer:
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         self._messages += 1
+        self._take_skipped(now)
         robot = self._robot(name, now)
         if robot is None:
             self._refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
             return
-        source = robot.sources.get(sensor)
+        source = self._source(name, robot, sensor)
         if source is None:
-            if len(robot.sources) >= MAX_SENSORS:
-                self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
-                return
-            source = robot.sources[sensor] = Source(f"{name}/{sensor}", robot.held)
+            self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
+            return
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         for hint in self._hints.look(source.name, scan):
             self._hint(name, sensor, hint)
+        expected = robot.take_expected(sensor, scan.run, scan.seq, scan.stamp) if robot.expected else None
+        if expected is not None:
+            self._wait_for_pose(name, robot, source, self._item(sensor, scan, expected.number, now))
+            return
         if source.seen(scan):
             self._drop(
                 name, sensor, "duplicate", reasons.RENUMBERED if source.repeats(scan) else reasons.SEEN
@@ -152,14 +161,22 @@ class ScanPlacer:
         if back:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
-        item = Waiting(sensor, scan, self._messages, now, self._limits.cells_of(scan))
+            robot.forget_expected(lambda item: item.sensor == sensor)
+        self._wait_for_pose(name, robot, source, self._item(sensor, scan, self._messages, now))
+
+    def _item(self, sensor: str, scan: Scan, number: int, now: float) -> Waiting:
+        return Waiting(sensor, scan, number, now, self._limits.cells_of(scan))
+
+    def _wait_for_pose(self, name: str, robot: Robot, source: Source, item: Waiting) -> None:
+        """Let a scan wait, unless it is ready, or will never be."""
         if source.holds:  # for whichever pose comes next: how far ahead it is matters only then
             robot.waiting.append(item)
+            waits = True
         else:
-            self._try(name, robot, item)
-        if robot.waiting.last is item:
-            if source.crowds(scan.stamp):
-                self._limit_waiting(name, robot, sensor)
+            waits = self._try(name, robot, item)
+        if waits:
+            if source.crowds(item.scan.stamp):
+                self._limit_waiting(name, robot, item.sensor)
             self._make_room(name, robot)
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
@@ -175,6 +192,7 @@ class ScanPlacer:
         """Note that the token of a robot's run is no more: a run that it has replaced may own again."""
         robot = self._robots.get(name)
         if robot is not None:
+            robot.told = None
             robot.note_gone(run)
         self._receipts.robot_alive(name, run, False, now)
 
@@ -183,6 +201,7 @@ class ScanPlacer:
 
         Robots that are gone for long are forgotten.
         """
+        self._take_skipped(now)
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
             if robot.waiting and now - max(robot.pose_heard, robot.waiting.first.handed) > wait:
@@ -190,6 +209,41 @@ class ScanPlacer:
                 self._give_up(name, robot, why, lambda item: now - item.handed > wait)
         for name in self._receipts.gone(now):
             self._forget(name, now)
+
+    def state(self) -> PlacingState:
+        """All that decides where later messages go, but for scans that wait; see `ogm_core.placing.state`.
+
+        Nothing of it changes any more. Of robots that have not changed it is the same as before.
+        """
+        self._take_skipped()
+        states = {}
+        for name, robot in self._robots.items():
+            if robot.told is None:
+                self._states += 1
+            states[name] = robot.state(self._states, self._messages)
+        return states
+
+    def restore(self, state: PlacingState, now: float = 0.0) -> None:
+        """Go on from a state, in a placer that has had no message: scans that waited are expected again.
+
+        Robots that are too many are left out.
+        """
+        for name, told in state.items():
+            if self._receipts.restored(name, now):
+                self._robots[name] = robot = self._new_robot(told.life)
+                robot.restore(name, told)
+                self._messages = max(self._messages, told.head["messages"])
+
+    def _take_skipped(self, now: float | None = None) -> None:
+        """Take the messages for decided that will never come."""
+        for name, sensor, run, first, last in self.decided.skipped():
+            robot = self._robot(name, now)
+            if robot is None or (sensor is not None and self._source(name, robot, sensor) is None):
+                continue
+            runs = robot.runs_of(sensor)
+            assert runs is not None
+            runs.skip(run, first, last)
+            robot.forget_skipped(sensor, run, range(first, last + 1))
 
     def _forget(self, name: str, now: float) -> None:
         """Forget a robot that is gone: should it come back, all begins anew for it."""
@@ -215,14 +269,26 @@ class ScanPlacer:
         others = (other for other, known in self._robots.items() if known.poses.owner is not None)
         return reasons.no_pose_ever(name, list(islice(others, 5)))
 
-    def _robot(self, name: str, now: float) -> Robot | None:
-        """What is known of a robot; None if it is one too many."""
+    def _robot(self, name: str, now: float | None) -> Robot | None:
+        """What is known of a robot, which changes now; None if it is one too many."""
         robot = self._robots.get(name)
         if robot is None and self._receipts.admits(name, now):
-            held = Held(self._kept)
-            robot = Robot(held, RobotPoses(self._rules, held), WaitingScans(self._waiting))
-            self._robots[name] = robot
+            robot = self._robots[name] = self._new_robot(self._messages)
+        if robot is not None:
+            robot.told = None
         return robot
+
+    def _new_robot(self, life: int) -> Robot:
+        held = Held(self._kept)
+        return Robot(held, RobotPoses(self._rules, held), WaitingScans(self._waiting), life=life)
+
+    @staticmethod
+    def _source(name: str, robot: Robot, sensor: str) -> Source | None:
+        """What is known of a sensor; None if it is one too many."""
+        source = robot.sources.get(sensor)
+        if source is None and len(robot.sources) < MAX_SENSORS:
+            source = robot.sources[sensor] = Source(f"{name}/{sensor}", robot.held)
+        return source
 
     def _number(self, source: Source, scan: Scan) -> None:
         """Note the seq of a scan, which may make its robot hold more."""
@@ -249,7 +315,14 @@ class ScanPlacer:
             step_at = sources[item.sensor].step_at
             return step_at is None or item.number < step_at
 
+        def was_of_before(item: Expected) -> bool:
+            if verdict.new_owner:
+                return item.run != owner
+            step_at = sources[item.sensor].step_at
+            return step_at is None or item.number < step_at
+
         self._give_up(name, robot, reasons.began_anew(verdict.began or ""), is_of_before)
+        robot.forget_expected(was_of_before)
         for source in sources.values():
             source.step_at = None
 
@@ -267,18 +340,21 @@ class ScanPlacer:
         if bugs:
             raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
 
-    def _try(self, name: str, robot: Robot, item: Waiting) -> None:
-        """Place a scan that is ready, drop one that will never be, let the others wait."""
+    def _try(self, name: str, robot: Robot, item: Waiting) -> bool:
+        """Place a scan that is ready, drop one that will never be, let the others wait; whether it waits."""
         scan, newest, covered = item.scan, robot.poses.newest, robot.poses.history.newest
         if newest is None or covered is None:
             robot.waiting.append(item)
-        elif max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
+            return True
+        if max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
             self._place(name, robot, item.sensor, scan, item.handed)
         elif scan.stamp - newest > self._rules.pose_wait * 1e9:
             ahead = reasons.ahead(scan.stamp - newest, self._rules.pose_wait)
             self._drop(name, item.sensor, "no_pose", ahead)
         else:
             robot.waiting.append(item)
+            return True
+        return False
 
     def _limit_waiting(self, name: str, robot: Robot, sensor: str) -> None:
         """Give up those scans of a sensor that wait while much newer ones do, or too many."""
@@ -307,6 +383,7 @@ class ScanPlacer:
             self._drop(name, sensor, "no_pose", reasons.too_much_waits(limits.cells))
         while self._waiting.nbytes > limits.nbytes:
             name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
+            robot.told = None
             sensor = robot.waiting.take_first().sensor
             self._drop(name, sensor, "no_pose", reasons.no_room(limits.nbytes))
 
@@ -317,6 +394,7 @@ class ScanPlacer:
         """
         while self._kept.nbytes > self._may_keep:
             name, robot = max(self._robots.items(), key=lambda entry: entry[1].held.nbytes)
+            robot.told = None
             what = robot.lighten()
             if not what:  # nobody looks again before they hold more
                 self._may_keep = self._kept.nbytes
@@ -328,6 +406,7 @@ class ScanPlacer:
     ) -> None:
         """Drop those of the waiting scans that `which` chooses."""
         for item in robot.waiting.take(which):
+            robot.told = None
             self._drop(name, item.sensor, "no_pose", why)
 
     def _place(self, name: str, robot: Robot, sensor: str, scan: Scan, handed: float) -> None:

@@ -1,7 +1,8 @@
 """Sequence numbers of the messages of one run: which were seen already."""
 
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
+from typing import Any
 
 from ogm_core.placing.held import Held
 
@@ -17,17 +18,21 @@ SPAN_BYTES = 16
 class Sequence:
     """The seqs (below 2^63) of one run that were seen, as spans without a gap, and the last one."""
 
-    __slots__ = ("_ends", "_held", "_starts", "_strays", "last")
+    __slots__ = ("_ends", "_held", "_starts", "_strays", "_told", "last", "taken")
 
     def __init__(self, held: Held | None = None) -> None:
         """`held` counts what its spans take in memory."""
         self._held = Held() if held is None else held
         self.last: int | None = None
         """The largest seq, but for strays; None before the first."""
+        self.taken = False
+        """Whether a message of the run was taken, and not all of them skipped."""
         self._starts = array("q")
         self._ends = array("q")
         """The first and the last seq of each span, rising."""
         self._strays: list[int] = []
+        self._told: tuple[Any, ...] | None = None
+        """The state that was told last, until it changes: whoever has it shares the arrays."""
 
     def __contains__(self, seq: int) -> bool:
         """Whether a seq was seen."""
@@ -39,12 +44,19 @@ class Sequence:
         """What its spans take in memory."""
         return len(self._starts) * SPAN_BYTES
 
+    @property
+    def first_span(self) -> tuple[int | None, int | None]:
+        """The first seq, and the last one before the first gap; None, None before the first."""
+        return (self._starts[0], self._ends[0]) if self._starts else (None, None)
+
     def is_above(self, seq: int) -> bool:
         """Whether a seq is above the last one, as every seq is that stays 0, and the first of a run."""
         return self.last is None or seq > self.last or seq == self.last == 0
 
     def note(self, seq: int) -> None:
         """Take a seq for seen, unless it is a stray."""
+        if self._told is not None:
+            self._change()
         if self.last is not None and seq > self.last + MAX_STEP:
             self._note_stray(seq)
             return
@@ -65,11 +77,43 @@ class Sequence:
         if len(self._starts) > MAX_SPANS:
             self._join(0)
 
+    def skip(self, first: int, last: int) -> None:
+        """Take the seqs from the first to the last for seen, but for strays; `last` stays as it is."""
+        if self.last is not None and last > self.last + MAX_STEP:
+            return
+        self._change()
+        low = bisect_left(self._ends, first - 1)
+        high = bisect_right(self._starts, last + 1)
+        if low < high:
+            first, last = min(first, self._starts[low]), max(last, self._ends[high - 1])
+        self._starts[low:high], self._ends[low:high] = array("q", [first]), array("q", [last])
+        self._held.add((1 - (high - low)) * SPAN_BYTES)
+        if len(self._starts) > MAX_SPANS:
+            self._join(0)
+
     def close_gaps(self) -> None:
         """Take every seq between the first and the last for seen."""
+        self._change()
         self._held.add(-self.nbytes)
         self._starts, self._ends = self._starts[:1], self._ends[-1:]
         self._held.add(self.nbytes)
+
+    def state(self) -> tuple[Any, ...]:
+        """All of it, as values that do not change any more: nothing is copied before it does."""
+        if self._told is None:
+            self._told = self.taken, self.last, self._starts, self._ends, tuple(self._strays)
+        return self._told
+
+    def restore(self, state: tuple[Any, ...]) -> None:
+        """Go on from such a state."""
+        self.taken, self.last, starts, ends, strays = state
+        self._starts, self._ends, self._strays = array("q", starts), array("q", ends), list(strays)
+        self._held.add(self.nbytes)
+
+    def _change(self) -> None:
+        if self._told is not None:
+            self._told = None
+            self._starts, self._ends = self._starts[:], self._ends[:]
 
     def _join(self, at: int) -> None:
         """Make one span of a span and the next one."""

@@ -1,16 +1,14 @@
 """Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
 
+from typing import Any
+
 from ogm_core.placing.held import Held
 from ogm_core.placing.rules import JITTER_NS, MAX_WAITING_SCANS, WAITING_NS, remember
-from ogm_core.placing.sequence import Sequence
+from ogm_core.placing.runs import Runs
 from ogm_core.types import Scan
 
-MAX_RUNS = 64
-"""Runs whose seqs are remembered; the one heard longest ago is forgotten."""
 REPEATS_IN_A_ROW = 10
 """So many duplicates whose stamps rise are new scans under old numbers."""
-RUN_BYTES = 512
-"""What a run takes besides the spans of its seqs, about: its name, its place, empty spans."""
 
 
 class Source:
@@ -22,7 +20,6 @@ class Source:
 
     def __init__(self, name: str = "", held: Held | None = None) -> None:
         """`held` counts what runs and their seqs take in memory."""
-        self._held = Held() if held is None else held
         self.name = name
         """`<robot>/<sensor>`."""
         self.holds = False
@@ -33,10 +30,10 @@ class Source:
         self.run: str | None = None
         self.replaced: list[str] = []
         """Runs whose scans came before those of `run`, the one heard last at the end."""
-        self._runs: dict[str, Sequence] = {}
-        """By run, the one heard last at the end."""
-        self._heard: str | None = None
-        """The run that was numbered last."""
+        self.runs = Runs(held)
+        """Seqs of the scans that were taken, and of those that never will be."""
+        self._began = False
+        """Whether a scan was ever taken."""
         self._newest: int | None = None
         """Largest stamp since its clock last went back or a new history began, ns."""
         self._history = 0
@@ -57,8 +54,7 @@ class Source:
 
     def seen(self, scan: Scan) -> bool:
         """Whether a scan is a duplicate; run "" numbers nothing."""
-        known = self._runs.get(scan.run)
-        return scan.run != "" and known is not None and scan.seq in known
+        return self.runs.has(scan.run, scan.seq)
 
     def repeats(self, scan: Scan) -> bool:
         """Note a duplicate; whether it is the tenth in a row whose stamps rise."""
@@ -69,39 +65,17 @@ class Source:
     def number(self, scan: Scan) -> None:
         """Note the seq of a scan that is no duplicate."""
         self._repeats = 0
-        run, sequence = scan.run, self._runs.get(scan.run)
-        if sequence is None or run != self._heard:
-            if sequence is None:
-                sequence = Sequence(self._held)
-                self._held.add(RUN_BYTES)
-            self._runs.pop(run, None)
-            self._runs[run] = sequence
-            self._heard = run
-            if len(self._runs) > MAX_RUNS:
-                self._forget_first()
-        if run != "":
-            sequence.note(scan.seq)
-
-    def forget_most(self) -> None:
-        """Forget all runs but the one heard last, and of that one which seqs before the last are missing."""
-        while len(self._runs) > 1:
-            self._forget_first()
-        for sequence in self._runs.values():
-            sequence.close_gaps()
-
-    def _forget_first(self) -> None:
-        """Forget the run that was heard longest ago."""
-        sequence = self._runs.pop(next(iter(self._runs)))
-        self._held.add(-RUN_BYTES - sequence.nbytes)
+        self._began = True
+        self.runs.note(scan.run, scan.seq)
 
     def take(self, scan: Scan, number: int, histories: int) -> int:
         """Note a scan that its robot's poses are to place; by how many ns its clock went back, else 0.
 
         `number` is the message's, `histories` how many histories of poses have begun. `number` comes after.
         """
-        known = self._runs.get(scan.run)
+        known = self.runs.of(scan.run)
         above = scan.run == "" or known is None or known.is_above(scan.seq)
-        if self._runs and known is None:
+        if self._began and known is None:
             self.holds = True
         if self.run is not None and scan.run != self.run:
             remember(self.replaced, self.run)
@@ -119,3 +93,26 @@ class Source:
             self._newest = max(self._newest, scan.stamp)
         self._history = histories
         return back
+
+    def state(self) -> dict[str, Any]:
+        """What decides where its scans go, as values that do not change any more.
+
+        Whoever repeats itself is complained of anew, and how many wait is counted anew.
+        """
+        return {
+            "holds": self.holds,
+            "step_at": self.step_at,
+            "run": self.run,
+            "replaced": tuple(self.replaced),
+            "began": self._began,
+            "newest": self._newest,
+            "history": self._history,
+            "runs": self.runs.state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from such a state."""
+        self.holds, self.step_at, self.run = state["holds"], state["step_at"], state["run"]
+        self.replaced = list(state["replaced"])
+        self._began, self._newest, self._history = state["began"], state["newest"], state["history"]
+        self.runs.restore(state["runs"])

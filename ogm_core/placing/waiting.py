@@ -1,8 +1,10 @@
 """Scans that wait for their robot's poses, in order of arrival, and the memory that they hold."""
 
 import math
+from bisect import insort
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 
 from ogm_core.placing.held import Held
 from ogm_core.types import Scan
@@ -66,14 +68,16 @@ class WaitingScans:
         """The one that came first; there must be one."""
         return self._items[0]
 
-    @property
-    def last(self) -> Waiting | None:
-        """The one that came last; None if none waits."""
-        return self._items[-1] if self._items else None
+    def copy(self) -> list[Waiting]:
+        """Those that wait at this moment; any thread may ask."""
+        return self._items.copy()
 
     def append(self, item: Waiting) -> None:
-        """Let a scan wait that came after all the others."""
-        self._items.append(item)
+        """Let a scan wait, after those whose messages came before its own."""
+        if self._items and item.number < self._items[-1].number:
+            insort(self._items, item, key=attrgetter("number"))
+        else:
+            self._items.append(item)
         self._count(1, [item])
 
     def take(self, which: Callable[[Waiting], bool] = lambda _: True) -> list[Waiting]:

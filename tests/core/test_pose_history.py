@@ -192,15 +192,15 @@ def test_every_pose_is_that_of_a_list_bit_for_bit(start, fewest, most):
 
 def test_stamps_and_poses_lie_together_and_are_never_written_again():
     poses = history(*((k, Pose(k, 2 * k, 3 * k)) for k in range(20)))
-    stamps, values = poses.stamps, poses.poses
+    _, stamps, values, _ = poses.state
     for k in range(20, 70_000):
         poses.append(T0 + k, Pose(-1.0, -1.0, -1.0))
     assert stamps.tolist() == [T0 + k for k in range(20)]
     assert values.tolist() == [n * k for k in range(20) for n in (1, 2, 3)]
-    assert poses.stamps.tolist() == [T0 + k for k in range(70_000 - 65_536, 70_000)]
-    assert len(poses.poses) == 3 * 65_536
+    assert poses.state.stamps.tolist() == [T0 + k for k in range(70_000 - 65_536, 70_000)]
+    assert len(poses.state.poses) == 3 * 65_536
     with pytest.raises(TypeError):
-        poses.poses[0] = 1.0
+        poses.state.poses[0] = 1.0
 
 
 def test_a_pose_takes_41_bytes_and_is_counted():

@@ -1,0 +1,57 @@
+"""Decided messages: by robot, sensor and run, which were integrated, believed, or dropped for good."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from ogm_core.placing.robot import Robot
+
+
+class Skipped(NamedTuple):
+    """Messages that will never be taken: of poses (sensor None) or scans, from a seq to another one."""
+
+    robot: str
+    sensor: str | None
+    run: str
+    first: int
+    last: int
+
+
+class Decided:
+    """What was decided of a placer's messages, those before the state that it goes on from, too. Any thread.
+
+    A message is decided once the placer has it, but for a scan that waits for a pose; and once it is told
+    that it will never have it. Run "" numbers nothing: nothing of it is decided.
+    """
+
+    def __init__(self, robots: Mapping[str, Robot]) -> None:
+        self._robots = robots
+        self._skipped: deque[Skipped] = deque()
+
+    def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
+        """Whether a scan of that seq, or with None a pose, was integrated or dropped for good."""
+        known = self._robots.get(robot)
+        runs = None if known is None else known.runs_of(sensor)
+        if known is None or runs is None or not runs.has(run, seq):
+            return False
+        return seq not in known.undecided(sensor, run)
+
+    def last(self, robot: str, sensor: str | None, run: str) -> int | None:
+        """The highest seq up to which all are decided, from the first one known; None if none is."""
+        known = self._robots.get(robot)
+        runs = None if known is None else known.runs_of(sensor)
+        if known is None or runs is None:
+            return None
+        return runs.up_to(run, known.undecided(sensor, run))
+
+    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int | None = None) -> None:
+        """Note that the placer will never have messages, from a seq to another one: they are lost or dropped.
+
+        They are decided when the placer handles its next message, or looks who waits for too long.
+        """
+        self._skipped.append(Skipped(robot, sensor, run, first, first if last is None else last))
+
+    def skipped(self) -> Iterator[Skipped]:
+        """Take what was noted and not taken yet; the placer's thread."""
+        while self._skipped:
+            yield self._skipped.popleft()
