@@ -26,7 +26,8 @@ class Decided:
 
     def __init__(self, robots: Mapping[str, Robot]) -> None:
         self._robots = robots
-        self._skipped: deque[Skipped] = deque()
+        self.skipped: deque[Skipped] = deque()
+        """What the placer has not taken yet."""
 
     def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
         """Whether a scan of that seq, or with None a pose, was integrated or dropped for good."""
@@ -49,9 +50,9 @@ class Decided:
 
         They are decided when the placer handles its next message, or looks who waits for too long.
         """
-        self._skipped.append(Skipped(robot, sensor, run, first, first if last is None else last))
+        self.skipped.append(Skipped(robot, sensor, run, first, first if last is None else last))
 
-    def skipped(self) -> Iterator[Skipped]:
-        """Take what was noted and not taken yet; the placer's thread."""
-        while self._skipped:
-            yield self._skipped.popleft()
+    def taken(self) -> Iterator[Skipped]:
+        """Take what was skipped and not taken yet; the placer's thread."""
+        while self.skipped:
+            yield self.skipped.popleft()

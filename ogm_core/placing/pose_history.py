@@ -88,7 +88,7 @@ class PoseHistory:
         start, end = self._start, self._end
         stamps = memoryview(self._stamps)[start:end].toreadonly()
         poses = memoryview(self._poses)[3 * start : 3 * end].toreadonly()
-        return HistoryState(self._moved + start, stamps, poses, bytes(self._ambiguous[start:end]))
+        return HistoryState(self._moved + start, stamps, poses, bytes(memoryview(self._ambiguous)[start:end]))
 
     def restore(self, state: HistoryState) -> None:
         """Go on from such a state, in a history without a pose."""

@@ -16,10 +16,10 @@ RUN_BYTES = 512
 class Runs:
     """The seqs of a key's runs, the run heard last at the end; run "" numbers nothing.
 
-    One thread changes them, any thread may ask.
+    One thread changes them, and asks without a lock; any thread may ask what has one.
     """
 
-    __slots__ = ("_heard", "_held", "_lock", "_runs")
+    __slots__ = ("_heard", "_held", "_lock", "_newest", "_runs")
 
     def __init__(self, held: Held | None = None) -> None:
         """`held` counts what they take in memory."""
@@ -27,13 +27,19 @@ class Runs:
         self._runs: dict[str, Sequence] = {}
         self._heard: str | None = None
         """The run of which a message was taken last."""
+        self._newest: Sequence | None = None
+        """Its seqs."""
         self._lock = threading.Lock()
 
+    def seen(self, run: str, seq: int) -> bool:
+        """Whether a message was taken, or will never be; for the thread that changes them."""
+        known = self._runs.get(run)
+        return known is not None and run != "" and seq in known
+
     def has(self, run: str, seq: int) -> bool:
-        """Whether a message was taken, or will never be."""
+        """The same for any thread."""
         with self._lock:
-            known = self._runs.get(run)
-            return known is not None and run != "" and seq in known
+            return self.seen(run, seq)
 
     def of(self, run: str) -> Sequence | None:
         """The seqs of a run of which a message was taken."""
@@ -42,13 +48,15 @@ class Runs:
 
     def note(self, run: str, seq: int) -> None:
         """Note a message that is taken."""
+        newest = self._newest
+        if newest is not None and run == self._heard and (run == "" or newest.extend(seq)):
+            return
         with self._lock:
-            known = self._runs.get(run)
-            if known is None or run != self._heard:
-                known = self._put_last(run)
-                known.taken, self._heard = True, run
+            if newest is None or run != self._heard:
+                self._newest = newest = self._put_last(run)
+                newest.taken, self._heard = True, run
             if run != "":
-                known.note(seq)
+                newest.note(seq)
 
     def skip(self, run: str, first: int, last: int) -> None:
         """Note that messages will never be taken; rules that look at the last one know nothing of them."""
@@ -86,6 +94,7 @@ class Runs:
         self._heard, runs = state
         for run, told in runs:
             self._put_last(run).restore(told)
+        self._newest = None if self._heard is None else self._runs[self._heard]
 
     def _put_last(self, run: str) -> Sequence:
         known = self._runs.pop(run, None)
@@ -99,5 +108,8 @@ class Runs:
 
     def _forget_first(self) -> None:
         """Forget the run that was heard longest ago."""
-        sequence = self._runs.pop(next(iter(self._runs)))
+        run = next(iter(self._runs))
+        sequence = self._runs.pop(run)
+        if run == self._heard:
+            self._heard = self._newest = None
         self._held.add(-RUN_BYTES - sequence.nbytes)

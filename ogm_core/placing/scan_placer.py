@@ -73,6 +73,7 @@ class ScanPlacer:
         self._hints = hints or Hints()
         self._robots: dict[str, Robot] = {}
         self.decided = Decided(self._robots)
+        self._skipped = self.decided.skipped
         self._messages = 0
         self._states = 0
         self._waiting = Held()
@@ -94,7 +95,8 @@ class ScanPlacer:
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
         self._messages += 1
-        self._take_skipped(now)
+        if self._skipped:
+            self._take_skipped(now)
         robot = self._robot(name, now)
         if robot is None:
             self._receipts.pose_noted("refused")
@@ -125,7 +127,8 @@ class ScanPlacer:
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         self._messages += 1
-        self._take_skipped(now)
+        if self._skipped:
+            self._take_skipped(now)
         robot = self._robot(name, now)
         if robot is None:
             self._refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
@@ -139,7 +142,8 @@ class ScanPlacer:
             self._hint(name, sensor, hint)
         expected = robot.take_expected(sensor, scan.run, scan.seq, scan.stamp) if robot.expected else None
         if expected is not None:
-            self._wait_for_pose(name, robot, source, self._item(sensor, scan, expected.number, now))
+            item = Waiting(sensor, scan, expected.number, now, self._limits.cells_of(scan))
+            self._wait_for_pose(name, robot, source, item)
             return
         if source.seen(scan):
             self._drop(
@@ -162,10 +166,8 @@ class ScanPlacer:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
             robot.forget_expected(lambda item: item.sensor == sensor)
-        self._wait_for_pose(name, robot, source, self._item(sensor, scan, self._messages, now))
-
-    def _item(self, sensor: str, scan: Scan, number: int, now: float) -> Waiting:
-        return Waiting(sensor, scan, number, now, self._limits.cells_of(scan))
+        item = Waiting(sensor, scan, self._messages, now, self._limits.cells_of(scan))
+        self._wait_for_pose(name, robot, source, item)
 
     def _wait_for_pose(self, name: str, robot: Robot, source: Source, item: Waiting) -> None:
         """Let a scan wait, unless it is ready, or will never be."""
@@ -236,7 +238,7 @@ class ScanPlacer:
 
     def _take_skipped(self, now: float | None = None) -> None:
         """Take the messages for decided that will never come."""
-        for name, sensor, run, first, last in self.decided.skipped():
+        for name, sensor, run, first, last in self.decided.taken():
             robot = self._robot(name, now)
             if robot is None or (sensor is not None and self._source(name, robot, sensor) is None):
                 continue

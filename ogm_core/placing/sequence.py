@@ -53,6 +53,20 @@ class Sequence:
         """Whether a seq is above the last one, as every seq is that stays 0, and the first of a run."""
         return self.last is None or seq > self.last or seq == self.last == 0
 
+    def extend(self, seq: int) -> bool:
+        """Take the seq after the last one for seen; False if that is more than to change one number."""
+        last = self.last
+        if (
+            last is None
+            or seq != last + 1
+            or self._strays
+            or self._told is not None
+            or self._ends[-1] != last
+        ):
+            return False
+        self._ends[-1] = self.last = seq
+        return True
+
     def note(self, seq: int) -> None:
         """Take a seq for seen, unless it is a stray."""
         if self._told is not None:

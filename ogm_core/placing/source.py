@@ -54,7 +54,7 @@ class Source:
 
     def seen(self, scan: Scan) -> bool:
         """Whether a scan is a duplicate; run "" numbers nothing."""
-        return self.runs.has(scan.run, scan.seq)
+        return self.runs.seen(scan.run, scan.seq)
 
     def repeats(self, scan: Scan) -> bool:
         """Note a duplicate; whether it is the tenth in a row whose stamps rise."""

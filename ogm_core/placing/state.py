@@ -24,6 +24,9 @@ CHUNK = 256
 """So many poses of a history, counted from its first, have bytes of their own: of a full chunk they stay."""
 
 
+_HEAD = {"messages", "life", "poses", "seqs", "gone", "sources", "waiting"}
+
+
 class BadState(BadInput):
     """Bytes are no placing state, or not one of this version."""
 
@@ -149,6 +152,8 @@ def _robot_of(serial: int, name: str, part: bytes, parts: Mapping[str, bytes]) -
     version, (life, histories, first, end), head = msgpack.unpackb(part, strict_map_key=True)
     if version != VERSION:
         raise BadState(f"its form is version {version}, and this program knows {VERSION}: use a newer one")
+    if not head.keys() >= _HEAD:
+        raise ValueError("something else")
     stamps, poses, ambiguous = [], [], []
     at = first
     for k in _chunks(first, end):
