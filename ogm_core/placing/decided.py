@@ -1,10 +1,10 @@
 """Decided messages: by robot, sensor and run, which were integrated, believed, or dropped for good."""
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
-from ogm_core.placing.robot import Robot
+from ogm_core.placing.robots import Robots
 
 
 class Skipped(NamedTuple):
@@ -24,7 +24,7 @@ class Decided:
     that it will never have it. Run "" numbers nothing: nothing of it is decided.
     """
 
-    def __init__(self, robots: Mapping[str, Robot]) -> None:
+    def __init__(self, robots: Robots) -> None:
         self._robots = robots
         self.skipped: deque[Skipped] = deque()
         """What the placer has not taken yet."""

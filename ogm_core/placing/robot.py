@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from ogm_core.placing.held import Held
 from ogm_core.placing.robot_poses import RobotPoses
+from ogm_core.placing.rules import MAX_SENSORS
 from ogm_core.placing.runs import Runs
 from ogm_core.placing.source import Source
 from ogm_core.placing.state import RobotState
@@ -30,6 +31,9 @@ class Expected(NamedTuple):
 class Robot:
     """All that decides where the scans of one robot go."""
 
+    name: str
+    life: int
+    """Tells it from another of the same name, which was forgotten."""
     held: Held
     """What its poses, and the seqs and runs of its scans, take in memory."""
     poses: RobotPoses
@@ -40,8 +44,6 @@ class Robot:
     gone: dict[str, None] = field(default_factory=dict)
     """Runs whose liveliness token was there and is no more, the last one at the end."""
 
-    life: int = 0
-    """Tells it from another of the same name, which was forgotten."""
     seqs: Runs = field(init=False)
     """Of its poses: all that were taken, whatever was believed, and those that never will be."""
     expected: list[Expected] = field(default_factory=list)
@@ -50,6 +52,23 @@ class Robot:
 
     def __post_init__(self) -> None:
         self.seqs = Runs(self.held)
+
+    def source(self, sensor: str) -> Source | None:
+        """What is known of a sensor; None if it is one too many."""
+        source = self.sources.get(sensor)
+        if source is None and len(self.sources) < MAX_SENSORS:
+            source = self.sources[sensor] = Source(f"{self.name}/{sensor}", self.held)
+        return source
+
+    def skip(self, sensor: str | None, run: str, first: int, last: int) -> None:
+        """Take messages for decided that will never come: poses, or scans of a sensor."""
+        source = None if sensor is None else self.source(sensor)
+        if sensor is None:
+            self.seqs.skip(run, first, last)
+        elif source is not None:
+            source.runs.skip(run, first, last)
+        seqs = range(first, last + 1)
+        self.forget_expected(lambda item: (item.sensor, item.run) == (sensor, run) and item.seq in seqs)
 
     def runs_of(self, sensor: str | None) -> Runs | None:
         """The seqs of a sensor's scans, or of the poses; None if there is no such sensor."""
@@ -78,38 +97,32 @@ class Robot:
         if self.expected:
             self.expected = [item for item in self.expected if not which(item)]
 
-    def forget_skipped(self, sensor: str | None, run: str, seqs: range) -> None:
-        """Expect scans no longer that are lost."""
-        self.forget_expected(lambda item: (item.sensor, item.run) == (sensor, run) and item.seq in seqs)
-
     def state(self, serial: int, messages: int) -> RobotState:
         """All that decides where its scans go; `serial` and `messages` as RobotState has them."""
-        if self.told is None:
-            waiting = [
-                Expected(item.sensor, item.scan.run, item.scan.seq, item.scan.stamp, item.number)
-                for item in self.waiting
-            ]
-            head = {
-                "messages": messages,
-                "life": self.life,
-                "poses": self.poses.state(),
-                "seqs": self.seqs.state(),
-                "gone": tuple(self.gone),
-                "sources": {name: source.state() for name, source in self.sources.items()},
-                "waiting": sorted(self.expected + waiting, key=lambda item: item.number),
-            }
-            self.told = RobotState(serial, self.life, self.poses.histories, head, self.poses.history.state)
-        return self.told
+        waiting = [
+            Expected(item.sensor, item.scan.run, item.scan.seq, item.scan.stamp, item.number)
+            for item in self.waiting
+        ]
+        head = {
+            "messages": messages,
+            "poses": self.poses.state(),
+            "seqs": self.seqs.state(),
+            "gone": tuple(self.gone),
+            "sources": {name: source.state() for name, source in self.sources.items()},
+            "waiting": sorted(self.expected + waiting, key=lambda item: item.number),
+        }
+        return RobotState(serial, self.life, self.poses.histories, head, self.poses.history.state)
 
-    def restore(self, name: str, state: RobotState) -> None:
+    def restore(self, state: RobotState) -> None:
         """Go on from such a state, in a robot of which nothing is known yet."""
         head = state.head
         self.poses.restore(head["poses"], state.history)
         self.seqs.restore(head["seqs"])
         self.gone = dict.fromkeys(head["gone"])
         for sensor, told in head["sources"].items():
-            source = self.sources[sensor] = Source(f"{name}/{sensor}", self.held)
-            source.restore(told)
+            source = self.source(sensor)
+            if source is not None:
+                source.restore(told)
         self.expected = [Expected(*item) for item in head["waiting"]]
         self.told = state
 

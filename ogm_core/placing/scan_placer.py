@@ -8,23 +8,20 @@ from typing import Protocol, cast
 from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
 from ogm_core.placing.decided import Decided
-from ogm_core.placing.held import Held
 from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot import Expected, Robot
-from ogm_core.placing.robot_poses import RobotPoses, Verdict
-from ogm_core.placing.rules import DEFAULT_RULES, MAX_SENSORS, MAX_WAITING_SCANS, WAITING_NS, PlacingRules
+from ogm_core.placing.robot_poses import Verdict
+from ogm_core.placing.robots import Complain, Robots
+from ogm_core.placing.rules import DEFAULT_RULES, MAX_WAITING_SCANS, WAITING_NS, PlacingRules
 from ogm_core.placing.source import Source
 from ogm_core.placing.state import PlacingState
-from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits, WaitingScans
+from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
-
-Complain = Callable[[str, str, str], None]
-"""Told of a source, `<robot>/<sensor>` or `<robot>/pose`, of the kind of trouble, and what was wrong."""
 
 
 class ScanSink(Protocol):
@@ -71,33 +68,28 @@ class ScanPlacer:
         self._complain = complain
         self._rules = rules
         self._hints = hints or Hints()
-        self._robots: dict[str, Robot] = {}
+        self._robots = Robots(receipts, complain, rules, robots_limit)
         self.decided = Decided(self._robots)
-        self._skipped = self.decided.skipped
         self._messages = 0
-        self._states = 0
-        self._waiting = Held()
         self._limits = limits
-        self._kept = Held()
-        self._robots_limit = self._may_keep = robots_limit
         self._stopping = stopping
 
     @property
     def waiting_bytes(self) -> int:
         """What scans hold that wait for poses. Any thread."""
-        return self._waiting.nbytes
+        return self._robots.waiting.nbytes
 
     @property
     def robots_bytes(self) -> int:
         """What the poses of all robots, and the seqs and runs of their scans, hold. Any thread."""
-        return self._kept.nbytes
+        return self._robots.held.nbytes
 
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""
         self._messages += 1
-        if self._skipped:
+        if self.decided.skipped:
             self._take_skipped(now)
-        robot = self._robot(name, now)
+        robot = self._robots.touched(name, now, self._messages)
         if robot is None:
             self._receipts.pose_noted("refused")
             self._complain(ROBOTS, *reasons.too_many_robots(name))
@@ -106,6 +98,7 @@ class ScanPlacer:
         poses = robot.poses
         stepped = next((source.name for source in robot.sources.values() if source.step_at is not None), "")
         verdict = poses.add(message, stepped=stepped, released=poses.owner in robot.gone)
+        self._robots.keep_within_limit()
         if verdict.note is not None:
             self._receipts.pose_noted(verdict.note)
         if verdict.reason is not None:
@@ -113,8 +106,6 @@ class ScanPlacer:
         if not verdict.taken:
             return
         robot.pose_heard = now
-        if self._kept.nbytes > self._may_keep:
-            self._lighten()
         if verdict.began is not None:
             self._begin(name, robot, verdict)
         if poses.history.newest == message.stamp:
@@ -127,13 +118,13 @@ class ScanPlacer:
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
         self._messages += 1
-        if self._skipped:
+        if self.decided.skipped:
             self._take_skipped(now)
-        robot = self._robot(name, now)
+        robot = self._robots.touched(name, now, self._messages)
         if robot is None:
             self._refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
             return
-        source = self._source(name, robot, sensor)
+        source = robot.source(sensor)
         if source is None:
             self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
             return
@@ -183,7 +174,7 @@ class ScanPlacer:
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the liveliness token of a robot's run is there."""
-        robot = self._robot(name, now)
+        robot = self._robots.touched(name, now, self._messages)
         if robot is None:
             self._complain(ROBOTS, *reasons.too_many_robots(name))
             return
@@ -218,34 +209,21 @@ class ScanPlacer:
         Nothing of it changes any more. Of robots that have not changed it is the same as before.
         """
         self._take_skipped()
-        states = {}
-        for name, robot in self._robots.items():
-            if robot.told is None:
-                self._states += 1
-            states[name] = robot.state(self._states, self._messages)
-        return states
+        return self._robots.state(self._messages)
 
     def restore(self, state: PlacingState, now: float = 0.0) -> None:
         """Go on from a state, in a placer that has had no message: scans that waited are expected again.
 
         Robots that are too many are left out.
         """
-        for name, told in state.items():
-            if self._receipts.restored(name, now):
-                self._robots[name] = robot = self._new_robot(told.life)
-                robot.restore(name, told)
-                self._messages = max(self._messages, told.head["messages"])
+        self._messages = self._robots.restore(state, now)
 
     def _take_skipped(self, now: float | None = None) -> None:
         """Take the messages for decided that will never come."""
         for name, sensor, run, first, last in self.decided.taken():
-            robot = self._robot(name, now)
-            if robot is None or (sensor is not None and self._source(name, robot, sensor) is None):
-                continue
-            runs = robot.runs_of(sensor)
-            assert runs is not None
-            runs.skip(run, first, last)
-            robot.forget_skipped(sensor, run, range(first, last + 1))
+            robot = self._robots.touched(name, now, self._messages)
+            if robot is not None:
+                robot.skip(sensor, run, first, last)
 
     def _forget(self, name: str, now: float) -> None:
         """Forget a robot that is gone: should it come back, all begins anew for it."""
@@ -253,9 +231,7 @@ class ScanPlacer:
         if robot is not None and robot.waiting:
             self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
         if self._receipts.forget(name, now) and robot is not None:
-            del self._robots[name]
-            robot.held.clear()
-            self._may_keep = self._robots_limit
+            self._robots.forget(name)
             for source in robot.sources.values():
                 self._hints.forget(source.name)
 
@@ -271,32 +247,10 @@ class ScanPlacer:
         others = (other for other, known in self._robots.items() if known.poses.owner is not None)
         return reasons.no_pose_ever(name, list(islice(others, 5)))
 
-    def _robot(self, name: str, now: float | None) -> Robot | None:
-        """What is known of a robot, which changes now; None if it is one too many."""
-        robot = self._robots.get(name)
-        if robot is None and self._receipts.admits(name, now):
-            robot = self._robots[name] = self._new_robot(self._messages)
-        if robot is not None:
-            robot.told = None
-        return robot
-
-    def _new_robot(self, life: int) -> Robot:
-        held = Held(self._kept)
-        return Robot(held, RobotPoses(self._rules, held), WaitingScans(self._waiting), life=life)
-
-    @staticmethod
-    def _source(name: str, robot: Robot, sensor: str) -> Source | None:
-        """What is known of a sensor; None if it is one too many."""
-        source = robot.sources.get(sensor)
-        if source is None and len(robot.sources) < MAX_SENSORS:
-            source = robot.sources[sensor] = Source(f"{name}/{sensor}", robot.held)
-        return source
-
     def _number(self, source: Source, scan: Scan) -> None:
         """Note the seq of a scan, which may make its robot hold more."""
         source.number(scan)
-        if self._kept.nbytes > self._may_keep:
-            self._lighten()
+        self._robots.keep_within_limit()
 
     @staticmethod
     def _replaced_by(robot: Robot, source: Source, run: str) -> str | None:
@@ -383,25 +337,11 @@ class ScanPlacer:
         while robot.waiting.cells > limits.cells and len(robot.waiting) > 1:
             sensor = robot.waiting.take_first().sensor
             self._drop(name, sensor, "no_pose", reasons.too_much_waits(limits.cells))
-        while self._waiting.nbytes > limits.nbytes:
+        while self._robots.waiting.nbytes > limits.nbytes:
             name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
             robot.told = None
             sensor = robot.waiting.take_first().sensor
             self._drop(name, sensor, "no_pose", reasons.no_room(limits.nbytes))
-
-    def _lighten(self) -> None:
-        """Have the robot that holds the most let go of what it can do without, till all hold their share.
-
-        What it keeps in any case is little: where it can let go of nothing, no other one holds much.
-        """
-        while self._kept.nbytes > self._may_keep:
-            name, robot = max(self._robots.items(), key=lambda entry: entry[1].held.nbytes)
-            robot.told = None
-            what = robot.lighten()
-            if not what:  # nobody looks again before they hold more
-                self._may_keep = self._kept.nbytes
-                return
-            self._complain(name, *reasons.holds_the_most(self._robots_limit, what))
 
     def _give_up(
         self, name: str, robot: Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True

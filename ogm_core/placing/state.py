@@ -24,7 +24,7 @@ CHUNK = 256
 """So many poses of a history, counted from its first, have bytes of their own: of a full chunk they stay."""
 
 
-_HEAD = {"messages", "life", "poses", "seqs", "gone", "sources", "waiting"}
+_HEAD = {"messages", "poses", "seqs", "gone", "sources", "waiting"}
 
 
 class BadState(BadInput):
