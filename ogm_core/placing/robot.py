@@ -11,6 +11,7 @@ from ogm_core.placing.runs import Runs
 from ogm_core.placing.source import Source
 from ogm_core.placing.state import RobotState
 from ogm_core.placing.waiting import WaitingScans
+from ogm_core.types import Scan
 
 MAX_GONE = 64
 """So many runs that are gone are remembered of a robot."""
@@ -46,7 +47,8 @@ class Robot:
 
     seqs: Runs = field(init=False)
     """Of its poses: all that were taken, whatever was believed, and those that never will be."""
-    expected: list[Expected] = field(default_factory=list)
+    expected: dict[tuple[str, str, int, int], Expected] = field(default_factory=dict)
+    """Scans that waited, by sensor, run, seq and stamp, and have not come again."""
     told: RobotState | None = None
     """The state that was told last, until it changes."""
 
@@ -82,20 +84,17 @@ class Robot:
         waiting = [
             item.scan.seq for item in self.waiting.copy() if (item.sensor, item.scan.run) == (sensor, run)
         ]
-        return waiting + [item.seq for item in self.expected if (item.sensor, item.run) == (sensor, run)]
+        expected = self.expected.copy().values()
+        return waiting + [item.seq for item in expected if (item.sensor, item.run) == (sensor, run)]
 
-    def take_expected(self, sensor: str, run: str, seq: int, stamp: int) -> Expected | None:
+    def take_expected(self, sensor: str, scan: Scan) -> Expected | None:
         """Expect a scan no longer, for here it is; None if it is no such one."""
-        for n, item in enumerate(self.expected):
-            if item[:4] == (sensor, run, seq, stamp):
-                self.expected = self.expected[:n] + self.expected[n + 1 :]
-                return item
-        return None
+        return self.expected.pop((sensor, scan.run, scan.seq, scan.stamp), None)
 
     def forget_expected(self, which: Callable[[Expected], bool]) -> None:
         """Expect some scans no longer: should they come all the same, they are duplicates."""
         if self.expected:
-            self.expected = [item for item in self.expected if not which(item)]
+            self.expected = {key: item for key, item in self.expected.items() if not which(item)}
 
     def state(self, serial: int, messages: int) -> RobotState:
         """All that decides where its scans go; `serial` and `messages` as RobotState has them."""
@@ -109,7 +108,7 @@ class Robot:
             "seqs": self.seqs.state(),
             "gone": tuple(self.gone),
             "sources": {name: source.state() for name, source in self.sources.items()},
-            "waiting": sorted(self.expected + waiting, key=lambda item: item.number),
+            "waiting": sorted([*self.expected.values(), *waiting], key=lambda item: item.number),
         }
         return RobotState(serial, self.life, self.poses.histories, head, self.poses.history.state)
 
@@ -123,7 +122,8 @@ class Robot:
             source = self.source(sensor)
             if source is not None:
                 source.restore(told)
-        self.expected = [Expected(*item) for item in head["waiting"]]
+        expected = (Expected(*item) for item in head["waiting"])
+        self.expected = {item[:4]: item for item in expected}
         self.told = state
 
     def note_gone(self, run: str) -> None:

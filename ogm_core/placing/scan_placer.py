@@ -131,7 +131,7 @@ class ScanPlacer:
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         for hint in self._hints.look(source.name, scan):
             self._hint(name, sensor, hint)
-        expected = robot.take_expected(sensor, scan.run, scan.seq, scan.stamp) if robot.expected else None
+        expected = robot.take_expected(sensor, scan) if robot.expected else None
         if expected is not None:
             item = Waiting(sensor, scan, expected.number, now, self._limits.cells_of(scan))
             self._wait_for_pose(name, robot, source, item)
