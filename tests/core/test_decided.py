@@ -75,6 +75,7 @@ def test_what_will_never_come_is_decided(then):
     decided.skip("r", None, "a", 1, 2)
     decided.skip("r", "s", "a", 2)
     decided.skip("r", "s", "a", 0, 1)
+    desk.receipts.pose_received("new", 0.0)
     decided.skip("new", "s", "a", 6)
     desk.placer.expire(0.0)
     assert seqs_of(then(desk), None) == ({0, 1, 2, 3}, 3)
