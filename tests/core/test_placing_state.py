@@ -115,7 +115,7 @@ def interrupted(messages, cuts, looks):
 def check(messages, seed):
     rng = random.Random(seed)
     wanted = uninterrupted(messages)
-    for count in (1, 5, 40):
+    for count in (1, len(messages)):
         cuts = set(rng.sample(range(len(messages)), count))
         looks = set(rng.sample(range(len(messages)), 20))
         assert interrupted(messages, cuts, looks) == wanted
@@ -124,13 +124,14 @@ def check(messages, seed):
 
 @pytest.mark.parametrize("kind", [*SAFE, *DOUBTFUL])
 def test_who_goes_on_from_a_state_does_what_who_was_not_interrupted_does(kind):
-    for seed in range(3):
-        check([("r", message) for message in Journey(kind, seed).messages], seed)
+    few = 200 if kind == "one stamp" else None  # of which nearly all wait
+    for seed in range(2):
+        check([("r", message) for message in Journey(kind, seed).messages[:few]], seed)
 
 
 def test_many_robots_go_on_from_their_states():
     rng, kinds = random.Random(1), [*SAFE, *DOUBTFUL]
-    for seed in range(4):
+    for seed in range(2):
         journeys = {f"r{n}": iter(Journey(rng.choice(kinds), seed).messages) for n in range(4)}
         messages = []
         while journeys:
