@@ -333,3 +333,16 @@ def test_where_a_pose_has_come_first_a_scan_that_waited_is_placed_at_once():
     desk.pose(200, run="a", seq=2)
     desk.scan(120, run="a", seq=1, tag=1).scan(110, run="a", seq=0, tag=0)
     assert (desk.tags, desk.xs) == ([1, 0], [pytest.approx(0.12), pytest.approx(0.11)])
+
+
+def test_the_first_scan_of_another_run_waits_for_a_pose_in_another_life_too():
+    desk, again = Desk(), Desk()
+    drive(desk, "r", 3)
+    desk.scan(50, run="a", seq=0)
+    again.placer.restore(state_of(StateParts().changes(desk.placer.state())))
+    for each in (desk, again):
+        placed = len(each.order)
+        each.scan(150, run="b", seq=7)
+        assert each.order[placed:] == []
+        each.pose(300, run="a", seq=3)
+        assert each.order[placed:] == [7]
