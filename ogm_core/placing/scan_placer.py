@@ -157,6 +157,9 @@ class ScanPlacer:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
             self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
             robot.forget_expected(lambda item: item.sensor == sensor)
+        if not source.holds and _is_ready(robot, scan):
+            self._place(name, robot, sensor, scan, now)
+            return
         item = Waiting(sensor, scan, self._messages, now, self._limits.cells_of(scan))
         self._wait_for_pose(name, robot, source, item)
 
@@ -298,13 +301,10 @@ class ScanPlacer:
 
     def _try(self, name: str, robot: Robot, item: Waiting) -> bool:
         """Place a scan that is ready, drop one that will never be, let the others wait; whether it waits."""
-        scan, newest, covered = item.scan, robot.poses.newest, robot.poses.history.newest
-        if newest is None or covered is None:
-            robot.waiting.append(item)
-            return True
-        if max(scan.stamp, scan.end_stamp) <= covered or scan.stamp < cast(int, robot.poses.history.oldest):
+        scan, newest = item.scan, robot.poses.newest
+        if _is_ready(robot, scan):
             self._place(name, robot, item.sensor, scan, item.handed)
-        elif scan.stamp - newest > self._rules.pose_wait * 1e9:
+        elif newest is not None and scan.stamp - newest > self._rules.pose_wait * 1e9:
             ahead = reasons.ahead(scan.stamp - newest, self._rules.pose_wait)
             self._drop(name, item.sensor, "no_pose", ahead)
         else:
@@ -395,3 +395,12 @@ class ScanPlacer:
     def _drop(self, name: str, sensor: str, reason: DropReason, why: Reason) -> None:
         self._receipts.scan_dropped(name, sensor, reason)
         self._complain(f"{name}/{sensor}", why.kind, f"a scan is dropped ({reason}): {why.text}")
+
+
+def _is_ready(robot: Robot, scan: Scan) -> bool:
+    """Whether it can be told where a scan was taken, or that it never can be: it is of before all poses."""
+    history = robot.poses.history
+    newest, oldest = history.newest, history.oldest
+    if newest is None or oldest is None:
+        return False
+    return max(scan.stamp, scan.end_stamp) <= newest or scan.stamp < oldest
