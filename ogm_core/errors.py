@@ -8,6 +8,7 @@ OgmError
 |   +-- BadRecording      a log cannot be read, or holds no scan
 |   +-- BadWorld          a simulated world's description is wrong
 |   +-- BadMapFile        a map file (YAML and picture, or NPZ) cannot be read, or is not one
+|   +-- BadStore          a map's store on disk is damaged, or of another version
 +-- ScanRefused           a well-formed scan is not integrated
 |   +-- NoPose            its robot's poses do not tell where it was taken
 |   +-- Stale             it lies before the robot's oldest kept pose
@@ -80,6 +81,12 @@ class BadMapFile(BadInput):
     """A map file, or the picture that it names, cannot be read or is not what is needed."""
 
     slug = "bad-map-file"
+
+
+class BadStore(BadInput):
+    """A map's store on disk is damaged, of another version, or no store at all."""
+
+    slug = "bad-store"
 
 
 class ScanRefused(OgmError):

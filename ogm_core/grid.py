@@ -1,6 +1,6 @@
 """Occupancy grid mapping with known poses: scans and sensor poses in, snapshots out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
@@ -12,7 +12,8 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.tiles.copies import TileCopies, Tiles, copy_tiles, room_for
+from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
+from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
@@ -151,6 +152,39 @@ class OccupancyGrid:
             revision=self.revision,
             stamp=self.stamp,
         )
+
+    def copy_ahead(self) -> CopyAhead:
+        """What copies the tiles written since the last copy while another thread goes on writing.
+
+        `take_ahead` takes what it has made; the next copy then copies no more than was written meanwhile.
+        """
+        return CopyAhead(self._store, self.revision, self._copies)
+
+    def take_ahead(self, ahead: CopyAhead, made: TileCopies) -> None:
+        """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""
+        if ahead.store is self._store and ahead.before is self._copies:
+            self._copies = made
+
+    def checkpoint(self) -> Checkpoint:
+        """The map as it is now, for a store; only tiles that were written since the last copy are copied."""
+        self._copies = copy_tiles(self._store, self.revision, self._copies, giving_up=False)
+        state = MapState(
+            *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect)
+        )
+        return Checkpoint(state, self._copies, self._store.touched.copy())
+
+    def restore(self, state: MapState, tiles: Iterable[KeptTile]) -> None:
+        """Become the map of which a checkpoint had this state and these tiles, under the same settings.
+
+        Raises:
+            LimitReached: it is more than the map may hold.
+        """
+        store = TileStore(state.room, self.model.planes)
+        store.put(tiles)
+        if store.nbytes > self.settings.max_bytes:
+            raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
+        self.epoch, self.revision, self.stamp, self.cell_updates, self._known = state[:5]
+        self._begin_store(store)
 
     def _begin_store(self, store: TileStore) -> None:
         """Take cells that have nothing to do with those of earlier snapshots."""

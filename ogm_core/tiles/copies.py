@@ -55,6 +55,8 @@ class TileCopies:
     """The cells under `numbers`."""
     numbers: NDArray[np.int64]
     """Shape (tiles in x, tiles in y), from the lower-left one."""
+    copied: NDArray[np.int64]
+    """Of the same shape: the revision at which each tile was copied, 0 where none was."""
     blocks: tuple[Block, ...]
     """In order of their tiles' numbers."""
     revision: int
@@ -94,7 +96,7 @@ def room_for(store: TileStore, before: TileCopies | None) -> Tiles:
     It is there when it returns: copying into new memory takes many times longer than copying. Another thread
     may write the store meanwhile, since the number is a guess.
     """
-    stale = int(np.count_nonzero(_to_copy(store, before)[2]))
+    stale = int(np.count_nonzero(_to_copy(store, before)[3]))
     if stale <= _FEW:
         return {}
     return {
@@ -104,14 +106,23 @@ def room_for(store: TileStore, before: TileCopies | None) -> Tiles:
 
 
 def copy_tiles(
-    store: TileStore, revision: int, before: TileCopies | None = None, room: Tiles | None = None
+    store: TileStore,
+    revision: int,
+    before: TileCopies | None = None,
+    room: Tiles | None = None,
+    *,
+    giving_up: bool = True,
 ) -> TileCopies:
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
 
     `before` must be of the same store, or of one that it was grown from. The copies go into `room`, if that
-    is large enough, and not much too large: a block keeps all of it.
+    is large enough, and not much too large: a block keeps all of it. Without `giving_up` blocks are kept
+    however little of them is in use, so that nothing is copied but what was written.
+
+    If another thread writes the store meanwhile, the result is no copy of one revision, but may be the next
+    one's `before`: what was written after `revision` is copied again.
     """
-    numbers, blocks, stale = _to_copy(store, before)
+    numbers, copied, blocks, stale = _to_copy(store, before, giving_up=giving_up)
     first = 1 if before is None else before.next_number
     which = np.flatnonzero(stale)
     planes = {}
@@ -125,10 +136,28 @@ def copy_tiles(
         planes[name] = tiles
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
     numbers.flags.writeable = False
+    copied.reshape(-1)[which] = revision
+    copied.flags.writeable = False
     if len(which):
         blocks = (*blocks, Block(first, planes, len(which)))
     lineage = object() if before is None else before.lineage
-    return TileCopies(store.rect, numbers, blocks, revision, first + len(which), lineage)
+    return TileCopies(store.rect, numbers, copied, blocks, revision, first + len(which), lineage)
+
+
+class CopyAhead(NamedTuple):
+    """What a copy made while another thread writes the store is made of, taken before it begins.
+
+    It may hold tiles that were half written: they are of a later revision, and the next copy makes them anew.
+    It counts for nothing if the store has grown meanwhile: cells have moved.
+    """
+
+    store: TileStore
+    revision: int
+    before: TileCopies | None
+
+    def made(self) -> TileCopies:
+        """The copy: any thread, while another writes."""
+        return copy_tiles(*self)
 
 
 def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
@@ -136,30 +165,36 @@ def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
 
 
 def _to_copy(
-    store: TileStore, before: TileCopies | None
-) -> tuple[NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
-    """Numbers of a store's tiles in the copy `before`, its blocks that are kept, and which tiles to copy."""
+    store: TileStore, before: TileCopies | None, *, giving_up: bool = True
+) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
+    """Of a store's tiles: their numbers in the copy `before`, when they were copied, and which to copy now.
+
+    And, third, the blocks of `before` that are kept.
+    """
     if before is None:
-        nowhere = CellRect(store.rect.ix, store.rect.iy, 0, 0)
-        before = TileCopies(nowhere, np.zeros((0, 0), np.int64), (), 0, 1, None)
-    numbers = before.placed(store.rect)
+        nowhere, none = CellRect(store.rect.ix, store.rect.iy, 0, 0), np.zeros((0, 0), np.int64)
+        before = TileCopies(nowhere, none, none, (), 0, 1, None)
+    numbers, copied = before.placed(store.rect), placed(before.copied, before.rect, store.rect)
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.
-    stale = store.touched > before.revision
-    return numbers, _kept(before.blocks, numbers, stale), stale
+    stale = store.touched > copied
+    return numbers, copied, _kept(before.blocks, numbers, stale, giving_up=giving_up), stale
 
 
 def _kept(
-    blocks: tuple[Block, ...], numbers: NDArray[np.int64], stale: NDArray[np.bool_]
+    blocks: tuple[Block, ...], numbers: NDArray[np.int64], stale: NDArray[np.bool_], *, giving_up: bool
 ) -> tuple[Block, ...]:
-    """Blocks that are half in use or more once tiles are `stale`; the rest of others becomes stale too."""
+    """Blocks that are half in use or more once tiles are `stale`; the rest of others becomes stale too.
+
+    Without `giving_up` those that are in use at all.
+    """
     gone = numbers[stale]
     of_block = np.searchsorted([block.first for block in blocks], gone[gone > 0], "right") - 1
     lost = np.bincount(of_block, minlength=len(blocks))
     kept = []
     for block, loss in zip(blocks, lost.tolist(), strict=True):
         used = block.used - loss
-        if 2 * used >= block.size:
+        if used and (2 * used >= block.size or not giving_up):
             kept.append(block._replace(used=used))
         elif used:
             stale |= (numbers >= block.first) & (numbers < block.end)

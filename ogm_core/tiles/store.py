@@ -16,7 +16,7 @@ others have 64, and its `column` counts in its own.
 
 import contextlib
 import mmap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -198,6 +198,23 @@ class TileStore:
                 tile[rows, (west - tx * TILE) * n : (east - tx * TILE) * n] = part
                 self.tiles_used += int(self.touched[tx, ty] == 0)
                 self.touched[tx, ty] = 1
+
+    def put(self, tiles: Iterable[tuple[int, int, int, Mapping[str, NDArray[Any]]]]) -> None:
+        """Put whole tiles in place: (tx, ty) on the lattice, the revision, and the cells of each plane.
+
+        Raises:
+            IndexError: one of them lies outside this store.
+        """
+        left, bottom = self.rect.ix // TILE, self.rect.iy // TILE
+        places = {name: plane.tiles(self.touched.shape) for name, plane in self.planes.items()}
+        for tx, ty, revision, cells in tiles:
+            x, y = tx - left, ty - bottom
+            if x < 0 or y < 0:
+                raise IndexError(f"tile ({tx}, {ty})")
+            self.tiles_used += int(self.touched[x, y] == 0)
+            self.touched[x, y] = revision
+            for name, place in places.items():
+                place[x, y] = cells[name]
 
     def _tile_of(self, other: "TileStore") -> tuple[int, int]:
         """Tile of this store that holds the lower-left cell of `other`."""

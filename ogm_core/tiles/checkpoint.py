@@ -1,0 +1,61 @@
+"""Checkpoint: a map at one revision, as a store on disk keeps it, tile by tile."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.lattice import CellRect
+from ogm_core.tiles.copies import TileCopies, Tiles
+from ogm_core.tiles.store import TILE
+
+
+class MapState(NamedTuple):
+    """What a map is beside its settings and its cells."""
+
+    epoch: str
+    revision: int
+    stamp: int | None
+    """Of the newest integrated scan, ns since the Unix epoch."""
+    cell_updates: int
+    known: CellRect | None
+    """The smallest rectangle that holds every known cell, None if there is none."""
+    room: CellRect
+    """The cells that memory is laid out for: whole tiles."""
+
+
+class KeptTile(NamedTuple):
+    """A tile of the lattice: its cells are those from (tx, ty) * TILE on."""
+
+    tx: int
+    ty: int
+    revision: int
+    """That of the last scan that wrote into it, as the map counts; cells that a map begins with have 1."""
+    planes: Tiles
+    """Its stored cells by plane, each shape (cells of a tile,), row after row."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """A map at one revision. Nobody changes it any more; any thread reads it."""
+
+    state: MapState
+    copies: TileCopies
+    touched: NDArray[np.int64]
+    """Revision that last wrote into each tile of `copies`, 0: never."""
+
+    def tiles_since(self, revision: int) -> Iterator[KeptTile]:
+        """The tiles that were written after `revision`; all that were ever written after 0.
+
+        Tiles that a map at revision 0 began with count as written after it.
+        """
+        written = self.touched > revision
+        tx, ty = np.nonzero(written)
+        left, bottom = self.copies.rect.ix // TILE, self.copies.rect.iy // TILE
+        for planes, here, rows in self.copies.find(self.copies.numbers[tx, ty]):
+            revisions = self.touched[tx[here], ty[here]].tolist()
+            columns, up = (tx[here] + left).tolist(), (ty[here] + bottom).tolist()
+            for x, y, last, row in zip(columns, up, revisions, rows.tolist(), strict=True):
+                yield KeptTile(x, y, last, {name: cells[row] for name, cells in planes.items()})

@@ -1,0 +1,90 @@
+"""Settings that a map is made with, as a store keeps them: whatever decides what a cell becomes.
+
+Left out are the limits (`max_cells` and the like): they decide which scans are taken, and may be raised.
+`anchor` is what a map that it began with gave, and no setting: the store's is taken.
+"""
+
+import dataclasses
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ogm_core.cells.model import CellModel, Plane
+from ogm_core.errors import BadSetting, BadStore
+from ogm_core.grid_settings import GridSettings
+from ogm_core.tiles.store import TILE
+
+_COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range")
+_SAME_RESOLUTION = 1e-6
+"""Resolutions that differ by no more, relatively, are one: map files round them."""
+
+
+def as_text(settings: GridSettings) -> str:
+    """The settings as JSON."""
+    fields = {
+        "resolution": settings.resolution,
+        "anchor": list(settings.lattice.anchor),
+        "bounds": None if settings.bounds is None else list(settings.bounds),
+        **{name: getattr(settings, name) for name in _COMPARED},
+        **_of_model(settings.cell_model),
+    }
+    return json.dumps(fields)
+
+
+def planes_in(text: str) -> tuple[Plane, ...]:
+    """The planes of the map that has these settings.
+
+    Raises:
+        BadStore: they are not what `as_text` makes.
+    """
+    try:
+        fields = json.loads(text)
+        if fields["tile"] != TILE:
+            raise BadStore(f"its tiles are {fields['tile']} cells wide, not {TILE}")
+        return tuple(Plane(name, np.dtype(dtype), side) for name, dtype, side in fields["planes"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise BadStore(f"its settings cannot be read: {error}") from error
+
+
+def settings_as_stored(text: str, given: GridSettings, where: str) -> GridSettings:
+    """`given`, on the very lattice of the stored map.
+
+    Raises:
+        BadSetting: they contradict those that the map was made with; the text names each, with both values.
+        BadStore: the stored settings cannot be read.
+    """
+    planes_in(text)
+    stored, now = json.loads(text), json.loads(as_text(given))
+    if _alike(stored.get("resolution"), now["resolution"]):
+        now["resolution"] = stored["resolution"]
+    now["anchor"] = stored.get("anchor")
+    contradictions = [
+        f"map.{name} is {_shown(now.get(name))}, and there {_shown(stored.get(name))}"
+        for name in {**stored, **now}
+        if stored.get(name) != now.get(name)
+    ]
+    if contradictions:
+        raise BadSetting(
+            f"{where}: the map that is stored there was made with other settings: "
+            f"{'; '.join(contradictions)}: give those, or store this map elsewhere"
+        )
+    anchor = (0.0, 0.0) if given.bounds is not None else tuple(map(float, stored["anchor"]))
+    return replace(given, resolution=stored["resolution"], anchor=(anchor[0], anchor[1]))
+
+
+def _of_model(model: CellModel) -> dict[str, Any]:
+    constants: dict[str, Any] = {}
+    if dataclasses.is_dataclass(model):
+        constants = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
+    planes = [[plane.name, np.dtype(plane.dtype).name, plane.side] for plane in model.planes]
+    return {"cell_model": type(model).__name__, **constants, "planes": planes, "tile": TILE}
+
+
+def _alike(stored: object, now: float) -> bool:
+    return isinstance(stored, float) and abs(stored - now) <= _SAME_RESOLUTION * now
+
+
+def _shown(value: object) -> str:
+    return "none" if value is None else value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,147 @@
+"""Map store: a map on disk, in a folder of its own, always as it was after an exact scan.
+
+    DIR/lock           held by the one process that has the store
+    DIR/map.sqlite     tiles, placing state, settings and state, with a root over all of them
+    DIR/snapshots/     the map under names (see snapshots)
+
+Each commit is one transaction: after a crash the store holds what the last one wrote, or the one before.
+"""
+
+import contextlib
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+from ogm_core.errors import BadStore
+from ogm_core.grid_settings import GridSettings
+from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_services.mapper.storage import rows
+from ogm_services.mapper.storage.digests import Root
+from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
+from ogm_services.mapper.storage.folder_lock import FolderLock
+from ogm_services.mapper.storage.layout import FILE, WAL_BYTES, created_file, open_file
+from ogm_services.mapper.storage.map_settings import as_text
+from ogm_services.mapper.storage.reading import RestoredMap, read_map
+from ogm_services.mapper.storage.rows import StoredState
+from ogm_services.mapper.storage.snapshots import Snapshots
+
+
+class MapStore:
+    """A map on disk. The thread that opened it uses it, and closes it."""
+
+    def __init__(self, folder: Path) -> None:
+        """Lock the folder and open the store in it; make both if need be.
+
+        Raises:
+            StoreInUse: another process has the folder.
+            BadStore: what is there is damaged, or of another version.
+            BadInput: there can be no such folder.
+            DiskFull, StoreFails: there is no store, and none can be made.
+        """
+        self.folder = folder
+        self.path = folder / FILE
+        self._wal = folder / f"{FILE}-wal"
+        self._root = Root()
+        self._state: StoredState | None = None
+        self._unstored: dict[str, bytes | None] = {}
+        self._lock = FolderLock(folder)
+        try:
+            self._connection = self._opened()
+            self.snapshots = Snapshots(folder, self._connection)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the store."""
+        self._connection.close()
+        self._lock.release()
+
+    @property
+    def empty(self) -> bool:
+        """Whether it holds no map.
+
+        Raises:
+            BadStore: it is damaged.
+        """
+        with told_as_damage(self.path, self.folder):
+            return rows.read_state(self._connection) is None
+
+    def restore(self, settings: GridSettings) -> RestoredMap | None:
+        """The map that is stored, value for value; None if there is none. Before the first commit.
+
+        Raises:
+            BadStore, BadSetting: as `read_map`.
+        """
+        restored = read_map(self._connection, settings, self.path, self.folder)
+        if restored is not None:
+            self._state, self._root = restored.state, restored.root
+        return restored
+
+    def commit(
+        self,
+        checkpoint: Checkpoint,
+        settings: GridSettings,
+        run: str,
+        placing: Mapping[str, bytes | None],
+    ) -> None:
+        """Store a map, and the parts of the placing state that have changed since they were last given.
+
+        A part that is None is there no more. What earlier commits have failed to store is stored, too.
+
+        Raises:
+            DiskFull, StoreFails: nothing of it is stored, and nothing forgotten.
+        """
+        self._unstored.update(placing)
+        before = self._state
+        whole = before is None or before.map.epoch != checkpoint.state.epoch
+        text = as_text(settings)
+        with self._transaction():
+            if whole:
+                self._connection.execute("DELETE FROM tiles")
+            # What a failed transaction has written all the same is written once more: it began no later.
+            changes = rows.write_placing(self._connection, self._unstored)
+            for tile in checkpoint.tiles_since(0 if before is None or whole else before.map.revision):
+                changes[tile.tx, tile.ty] = rows.write_tile(self._connection, tile)
+            root = self._root.changed(changes, without_tiles=whole)
+            state = rows.new_state(checkpoint.state, run, text, root)
+            rows.write_state(self._connection, state)
+        self._root, self._state, self._unstored = root, state, {}
+        if whole or self._wal.stat().st_size > WAL_BYTES:
+            with told_as_failure(self.path):
+                self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def _opened(self) -> sqlite3.Connection:
+        new = not self.path.exists()
+        with told_as_damage(self.path, self.folder):
+            if new and self._wal.exists():
+                raise BadStore("it is not there, and its log is")
+            if not new and not self.path.stat().st_size:
+                raise BadStore("it is empty")
+            if not new:
+                return open_file(self.path)
+        with told_as_failure(self.path):
+            with created_file(self.path):
+                pass
+            return open_file(self.path)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """What is written inside is on disk in the end, or nothing of it."""
+        with told_as_failure(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                with contextlib.suppress(sqlite3.Error):  # SQLite may have rolled back by itself
+                    self._connection.execute("ROLLBACK")
+                raise

@@ -1,0 +1,54 @@
+"""Reading a store: the whole map, every row of it checked."""
+
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+
+from ogm_core.errors import BadSetting, BadStore, LimitReached
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_services.mapper.storage import rows
+from ogm_services.mapper.storage.digests import Root
+from ogm_services.mapper.storage.failures import told_as_damage
+from ogm_services.mapper.storage.map_settings import planes_in, settings_as_stored
+from ogm_services.mapper.storage.rows import StoredState
+
+
+@dataclass(frozen=True, eq=False)
+class RestoredMap:
+    """What a store holds: the map, and the placing state that goes with it."""
+
+    grid: OccupancyGrid
+    placing: dict[str, bytes]
+    state: StoredState
+    root: Root
+
+
+def read_map(
+    connection: sqlite3.Connection, settings: GridSettings, path: Path, folder: Path
+) -> RestoredMap | None:
+    """The map in a store, value for value; None if there is none.
+
+    `settings` are those that the map goes on with; `path` is the store's file,
+    `folder` the store that it is of.
+
+    Raises:
+        BadStore: the store is damaged; the text says what is, and what to do.
+        BadSetting: they contradict those that it was made with; the text names each, with both values.
+    """
+    with told_as_damage(path, folder):
+        rows.check_pages(connection)
+        state = rows.read_state(connection)
+        if state is None:
+            return None
+        grid = OccupancyGrid(settings_as_stored(state.settings, settings, str(folder)))
+        root = Root()
+        try:
+            grid.restore(state.map, rows.read_tiles(connection, planes_in(state.settings), root))
+        except IndexError as error:
+            raise BadStore(f"{error} lies outside the map") from error
+        except LimitReached as error:
+            raise BadSetting(f"{folder}: the map that is stored there: {error}: raise it") from error
+        placing = rows.read_placing(connection, root)
+        rows.check_root(state, root)
+    return RestoredMap(grid, placing, state, root)

@@ -1,0 +1,186 @@
+"""Rows of a store's tables: what is written into them, and read from them with every digest checked."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from ogm_core.cells.model import Plane
+from ogm_core.errors import BadStore
+from ogm_core.lattice import CellRect
+from ogm_core.tiles.checkpoint import KeptTile, MapState
+from ogm_core.tiles.codec import decode_tile, encode_tile
+from ogm_services.mapper.storage.digests import (
+    Changes,
+    Root,
+    part_digest,
+    settings_digest,
+    state_digest,
+    tile_digest,
+)
+
+TILES = "SELECT tx, ty, revision, record, digest FROM tiles"
+PLACING = "SELECT key, value, digest FROM placing"
+
+
+@dataclass(frozen=True)
+class StoredState:
+    """What a store says of its map beside tiles and placing state."""
+
+    map: MapState
+    run: str
+    """Of the process that stored it."""
+    settings: str
+    """Those that the map is made with (see map_settings)."""
+    tiles: int
+    """How many there are."""
+    root: bytes
+
+
+def check_pages(connection: sqlite3.Connection) -> None:
+    """Let SQLite look at every page: what it does not read now it would stumble over later, or write over.
+
+    Raises:
+        BadStore: a page is damaged.
+    """
+    found = [text for (text,) in connection.execute("PRAGMA integrity_check(1)")]
+    if found != ["ok"]:
+        raise BadStore(f"SQLite finds: {'; '.join(map(str, found))}")
+
+
+def read_state(connection: sqlite3.Connection) -> StoredState | None:
+    """The state, and the settings; None of a store without a map.
+
+    Raises:
+        BadStore: a row of them is damaged, or is not there.
+    """
+    states = connection.execute("SELECT text, root, digest FROM state").fetchall()
+    settings = connection.execute("SELECT text, digest FROM settings").fetchall()
+    if not states and not settings:
+        rows = sum(
+            connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+            for table in ("tiles", "placing")
+        )
+        if rows:
+            raise BadStore("there are tiles, and nothing that says of which map they are")
+        return None
+    if len(states) != 1 or len(settings) != 1:
+        raise BadStore("there is not one row of settings and one of the map's state")
+    ((text, root, digest),), ((settings_text, given),) = states, settings
+    if not (_are((text, settings_text), str) and _are((root, digest, given), bytes)):
+        raise BadStore("the row of its state or of its settings is damaged")
+    if state_digest(text, root) != digest:
+        raise BadStore("the row of its state is damaged")
+    if settings_digest(settings_text) != given:
+        raise BadStore("the row of its settings is damaged")
+    return _state_of(text, settings_text, root)
+
+
+def read_tile(row: tuple[object, ...], planes: tuple[Plane, ...]) -> tuple[KeptTile, bytes]:
+    """A row of TILES as a tile, and its digest.
+
+    Raises:
+        BadStore: it is damaged.
+    """
+    *numbers, record, digest = row
+    if not (_are(numbers, int) and isinstance(record, bytes) and isinstance(digest, bytes)):
+        raise BadStore("a row of a tile is damaged")
+    tx, ty, revision = numbers
+    assert isinstance(tx, int)
+    assert isinstance(ty, int)
+    assert isinstance(revision, int)
+    try:
+        if tile_digest((tx, ty), revision, record) != digest:
+            raise BadStore("its digest is another")  # noqa: TRY301
+        return KeptTile(tx, ty, revision, decode_tile(record, planes)), digest
+    except BadStore as error:
+        raise BadStore(f"tile ({tx}, {ty}): {error}") from error
+
+
+def read_tiles(connection: sqlite3.Connection, planes: tuple[Plane, ...], root: Root) -> Iterator[KeptTile]:
+    """Every tile, each put under `root`.
+
+    Raises:
+        BadStore: one of them is damaged.
+    """
+    for row in connection.execute(TILES):
+        tile, digest = read_tile(row, planes)
+        root.put((tile.tx, tile.ty), digest)
+        yield tile
+
+
+def read_placing(connection: sqlite3.Connection, root: Root) -> dict[str, bytes]:
+    """Every part of the placing state by its key, each put under `root`.
+
+    Raises:
+        BadStore: one of them is damaged.
+    """
+    parts = {}
+    for key, value, digest in connection.execute(PLACING):
+        if not (isinstance(key, str) and _are((value, digest), bytes) and part_digest(key, value) == digest):
+            raise BadStore(f"the placing state of {str(key)[:100]!r} is damaged")
+        root.put(key, digest)
+        parts[key] = value
+    return parts
+
+
+def new_state(map_state: MapState, run: str, settings: str, root: Root) -> StoredState:
+    """The state of a store that has these rows."""
+    return StoredState(map_state, run, settings, root.tiles, root.with_settings(settings_digest(settings)))
+
+
+def check_root(state: StoredState, root: Root) -> None:
+    """Compare the rows that were read with the root.
+
+    Raises:
+        BadStore: one is missing, or older than the others.
+    """
+    if root.with_settings(settings_digest(state.settings)) != state.root:
+        raise BadStore("tiles or placing state are missing, or older than the rest")
+
+
+def write_tile(connection: sqlite3.Connection, tile: KeptTile) -> bytes:
+    """Write a tile's row in place of the one before; its digest."""
+    record = encode_tile(tile.planes)
+    digest = tile_digest((tile.tx, tile.ty), tile.revision, record)
+    connection.execute(
+        "INSERT INTO tiles VALUES (?, ?, ?, ?, ?) ON CONFLICT (tx, ty) DO UPDATE SET "
+        "revision = excluded.revision, record = excluded.record, digest = excluded.digest",
+        (tile.tx, tile.ty, tile.revision, record, digest),
+    )
+    return digest
+
+
+def write_placing(connection: sqlite3.Connection, parts: Mapping[str, bytes | None]) -> Changes:
+    """Write parts of the placing state; what is None is there no more. Their digests."""
+    digests: Changes = {}
+    for key, value in parts.items():
+        digests[key] = None if value is None else part_digest(key, value)
+        if value is None:
+            connection.execute("DELETE FROM placing WHERE key = ?", (key,))
+        else:
+            connection.execute("INSERT OR REPLACE INTO placing VALUES (?, ?, ?)", (key, value, digests[key]))
+    return digests
+
+
+def write_state(connection: sqlite3.Connection, state: StoredState) -> None:
+    """Write settings and state, with the root over all rows."""
+    text = json.dumps({"run": state.run, "tiles": state.tiles, **state.map._asdict()})
+    digest = state_digest(text, state.root)
+    connection.execute("INSERT OR REPLACE INTO state VALUES (1, ?, ?, ?)", (text, state.root, digest))
+    connection.execute(
+        "INSERT OR REPLACE INTO settings VALUES (1, ?, ?)",
+        (state.settings, settings_digest(state.settings)),
+    )
+
+
+def _state_of(text: str, settings: str, root: bytes) -> StoredState:
+    fields = json.loads(text)
+    run, tiles, known = (fields.pop(name) for name in ("run", "tiles", "known"))
+    room = CellRect(*fields.pop("room"))
+    state = MapState(known=None if known is None else CellRect(*known), room=room, **fields)
+    return StoredState(state, run, settings, tiles, root)
+
+
+def _are(values: object, kind: type) -> bool:
+    return all(isinstance(value, kind) for value in values)  # type: ignore[attr-defined]
