@@ -410,3 +410,17 @@ def status(
     console = Console()
     for table in status_tables(answer):
         console.print(table)
+
+
+@app.command()
+def repair(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a stored map.")],
+    out: Annotated[
+        Path, typer.Option(metavar="NEW", help="Folder for a new store; it is made, or is empty.")
+    ],
+) -> None:
+    """Save what is intact of a damaged stored map into a new store, and tell what is not."""
+    with running_service(interrupted=INTERRUPTED), kernel_cache():
+        with loading():
+            from ogm_services.commands.repair import run_repair
+        run_repair(folder, out)

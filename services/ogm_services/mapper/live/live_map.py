@@ -16,6 +16,7 @@ from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
+from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.copies import Tiles
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
@@ -121,6 +122,19 @@ class LiveMap:
             self._grid.reset(epoch)
             self._state = self._told()
             self._recent.clear()
+
+    def copy_ahead(self) -> None:
+        """Copy what has changed while the writer goes on: `checkpoint` has next to nothing left to copy."""
+        with self._writing:
+            ahead = self._grid.copy_ahead()
+        made = ahead.made()
+        with self._writing:
+            self._grid.take_ahead(ahead, made)
+
+    def checkpoint(self) -> Checkpoint:
+        """Writer: the map as it is now, for a store."""
+        with self._writing:
+            return self._grid.checkpoint()
 
     @property
     def now(self) -> Identity:

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import os
 from pathlib import Path
+from typing import Self
 
 from ogm_core.errors import BadInput, OgmError
 
@@ -43,6 +44,12 @@ class FolderLock:
         with contextlib.suppress(OSError):  # a full disk: nobody learns who it was
             os.truncate(self._file, 0)
             os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
     def release(self) -> None:
         """Let others have the folder."""

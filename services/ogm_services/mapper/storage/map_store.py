@@ -86,6 +86,10 @@ class MapStore:
             self._state, self._root = restored.state, restored.root
         return restored
 
+    def holds(self, checkpoint: Checkpoint) -> bool:
+        """Whether that map is stored, and all of the placing state that was given."""
+        return self._state is not None and self._state.map == checkpoint.state and not self._unstored
+
     def commit(
         self,
         checkpoint: Checkpoint,

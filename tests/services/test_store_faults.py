@@ -1,0 +1,244 @@
+"""A disk that is full or fails: the store says so, goes on when it can, and has forgotten nothing.
+
+Faults are real: a file system of 2 MB that is full (root only), and a disk that fails by a library that
+stands between SQLite and the system (where there is a C compiler).
+"""
+
+import errno
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from ogm_core.errors import DiskFull
+from ogm_services.mapper.storage.failures import StoreFails
+from ogm_services.mapper.storage.map_saver import MapSaver, Taken
+from ogm_services.mapper.storage.map_store import MapStore
+from stored_maps import RUN, Story, fingerprint, grid_of, restored
+
+TESTS = Path(__file__).parents[1]
+CANNOT = r".*map\.sqlite: cannot be written: "
+FAULTS = {
+    "no room": ("write", errno.ENOSPC, f"DiskFull: {CANNOT}database or disk is full"),
+    "write": (
+        "write",
+        errno.EIO,
+        f"StoreFails: {CANNOT}disk I/O error .SQLITE_IOERR_WRITE",
+    ),
+    "fsync": (
+        "sync",
+        errno.EIO,
+        f"StoreFails: {CANNOT}disk I/O error .SQLITE_IOERR_",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def failing_disk(tmp_path_factory):
+    """The library of failing_disk.c."""
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        pytest.skip(
+            "a disk that fails is a library for Linux that a C compiler (cc) makes; there is none here"
+        )
+    library = tmp_path_factory.mktemp("failing") / "failing_disk.so"
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-o", library, TESTS / "failing_disk.c", "-ldl"], check=True
+    )
+    return library
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_disk_that_fails_costs_nothing_but_time(tmp_path, failing_disk, fault):
+    """At every write, or every fsync, of a commit and of what follows it."""
+    kind, number, said = FAULTS[fault]
+    run = subprocess.run(
+        [sys.executable, TESTS / "store_on_failing_disk.py", tmp_path, kind, str(number)],
+        env={**os.environ, "LD_PRELOAD": str(failing_disk), "FAILING_DISK": str(tmp_path / "control")},
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr[-3000:]
+    lines = [json.loads(line) for line in run.stdout.splitlines()]
+    assert len(lines) == 19
+    assert all(line["after_fault"] and line["after_next"] for line in lines), lines
+    failures = [text for line in lines for text in line["said"]]
+    assert len(failures) > (4 if kind == "sync" else 20)
+    for text in failures:
+        assert re.match(said, text), text
+
+
+@contextmanager
+def small_disk(folder):
+    """A file system of 2 MB."""
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", folder],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip(f"a file system of 2 MB is mounted by root only: {mounted.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    with small_disk(tmp_path / "disk") as folder:
+        yield folder
+
+
+def fill(disk):
+    """Leave no room."""
+    with suppress(OSError), (disk / "filler").open("wb", buffering=0) as file:
+        while file.write(bytes(4096)):
+            pass
+    assert os.statvfs(disk).f_bavail == 0
+
+
+def test_a_disk_that_is_full_is_named_and_all_is_stored_when_it_has_room_again(disk):
+    with MapStore(disk / "map") as store:
+        story = Story(store, grid_of())
+        story.integrate(2)
+        story.commit()
+        fill(disk)
+        for _ in range(20):
+            story.integrate(1)
+            with pytest.raises(DiskFull, match=f"{disk}/map/map.sqlite: cannot be written: .* disk is full"):
+                story.commit()
+        (disk / "filler").unlink()
+        story.commit()
+        assert restored(store, story.grid.settings) == story.now
+    with MapStore(disk / "map") as store:
+        assert restored(store, story.grid.settings) == story.now
+
+
+def test_no_store_begins_on_a_disk_that_is_full(disk):
+    fill(disk)
+    with pytest.raises(DiskFull, match=f"{disk}/map/map.sqlite: cannot be written: "):
+        MapStore(disk / "map")
+    (disk / "filler").unlink()
+    with MapStore(disk / "map") as store:
+        assert store.empty
+
+
+def test_a_store_is_restored_on_a_disk_that_is_full(disk):
+    """It is read without a byte written; the next commit says what is the matter."""
+    with MapStore(disk / "map") as store:
+        story = Story(store, grid_of())
+        story.integrate(4)
+        story.commit()
+    fill(disk)
+    with MapStore(disk / "map") as store:
+        found = store.restore(story.grid.settings)
+        assert fingerprint(found.grid, found.placing) == story.now
+        story.store = store
+        story.integrate(3)
+        with pytest.raises(DiskFull):
+            story.commit()
+        (disk / "filler").unlink()
+        story.commit()
+        assert restored(store, story.grid.settings) == story.now
+
+
+def test_a_snapshot_that_has_no_room_is_not_there(disk):
+    with MapStore(disk / "map") as store:
+        story = Story(store, grid_of())
+        story.integrate(4)
+        story.commit()
+        fill(disk)
+        with pytest.raises(DiskFull, match=r"snapshots/one\.sqlite: cannot be written"):
+            store.snapshots.save("one")
+        assert store.snapshots.list() == []
+        (disk / "filler").unlink()
+        store.snapshots.save("one")
+        assert [snapshot.name for snapshot in store.snapshots.list()] == ["one"]
+    assert [path.name for path in (disk / "map" / "snapshots").iterdir()] == ["one.sqlite"]
+
+
+@contextmanager
+def files_of(size):
+    """No file of this process grows beyond so many bytes: a fault that needs nobody's leave."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventually, caplog):
+    story = Story(None, grid_of())
+    settings = story.grid.settings
+
+    def take():
+        story.integrate(1)
+        changed, story._changed = story._changed, {}
+        story.states[story.now] = story.grid.revision
+        return Taken(story.grid.checkpoint(), settings, RUN, changed)
+
+    with MapSaver(tmp_path, period=0.01) as saver:
+        assert saver.do(lambda store: store.restore(settings)) is None
+        saver.keep(take)
+        eventually(lambda: saver.do(lambda store: store.empty) is False)
+        assert saver.failing is None
+        with files_of(1):
+            reason = eventually(lambda: saver.failing)
+            assert f"{tmp_path}/map.sqlite: cannot be written: " in reason
+            failed = story.grid.revision
+            eventually(lambda: story.grid.revision > failed + 2)
+            with pytest.raises(StoreFails):
+                saver.save("now")
+        eventually(lambda: saver.failing is None)
+        saver.save("now")
+    assert "the map goes on in memory; storing it is tried again" in caplog.text
+    with MapStore(tmp_path) as store:
+        found = store.restore(settings)
+        assert fingerprint(found.grid, found.placing) == story.now
+        assert [snapshot.name for snapshot in store.snapshots.list()] == ["now"]
+
+
+def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path):
+    """Six kills at moments of their own, each in the middle of commits; the next process goes on."""
+    code = (TESTS / "store_till_killed.py").as_posix()
+    revision, states = 0, {}
+    for k in range(6):
+        with subprocess.Popen(
+            [sys.executable, code, tmp_path / "map"], stdout=subprocess.PIPE, text=True
+        ) as process:
+            lines = [process.stdout.readline()]
+            end = time.monotonic() + 0.05 + 0.03 * k
+            while time.monotonic() < end:
+                lines.append(process.stdout.readline())
+            process.kill()
+            lines += process.stdout.read().splitlines()
+        committed = 0
+        for line in filter(None, map(str.strip, lines)):
+            said = line.split()
+            if len(said) == 3:
+                states[said[1]] = int(said[2])
+                committed = max(committed, int(said[2]) if said[0] == "stored" else 0)
+        grid = grid_of()
+        with MapStore(tmp_path / "map") as store:
+            found = store.restore(grid.settings)
+        revision = found.state.map.revision
+        assert states[fingerprint(found.grid, found.placing)] == revision
+        assert revision >= committed
+    assert revision > 10

@@ -1,0 +1,20 @@
+"""`python store_till_killed.py DIR`: goes on with the map that is stored there, a commit after every scan.
+
+Prints the fingerprint and the revision of each state before ("trying") and after ("stored") its commit.
+"""
+
+import sys
+from pathlib import Path
+
+from ogm_services.mapper.storage.map_store import MapStore
+from stored_maps import Story, grid_of
+
+with MapStore(Path(sys.argv[1])) as store:
+    grid = grid_of()
+    before = store.restore(grid.settings)
+    story = Story(store, grid) if before is None else Story.going_on(store, before)
+    while True:
+        story.integrate(1)
+        print("trying", story.now, story.grid.revision, flush=True)
+        story.commit()
+        print("stored", story.now, story.grid.revision, flush=True)
