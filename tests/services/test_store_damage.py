@@ -1,4 +1,4 @@
-"""Damaged stores: an earlier exact state or a clear refusal, never a wrong map; and what `ogm repair` saves."""
+"""Damaged stores: an earlier exact state or a clear refusal, never a wrong map; and what repair saves."""
 
 from tampering import tampered
 

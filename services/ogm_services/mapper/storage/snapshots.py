@@ -69,8 +69,8 @@ class Snapshots:
         """Every snapshot, by name."""
         return [self._listed(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}"))]
 
-    def read(self, name: str, settings: GridSettings) -> OccupancyGrid:
-        """The map that was saved under a name, value for value.
+    def read(self, name: str, settings: GridSettings, epoch: str | None = None) -> OccupancyGrid:
+        """The map that was saved under a name, value for value; under a new `epoch` if one is given.
 
         Raises:
             UnknownName: there is no such snapshot.
@@ -84,6 +84,8 @@ class Snapshots:
             restored = read_map(connection, settings, path, self._store)
         if restored is None:
             raise BadStore(f"{path} is damaged: it holds no map: delete this snapshot")
+        if epoch is not None:
+            restored.grid.epoch = epoch
         return restored.grid
 
     def delete(self, name: str) -> None:
