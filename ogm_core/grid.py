@@ -13,7 +13,7 @@ from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
-from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for
+from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for, uncopied_tiles
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
@@ -164,6 +164,11 @@ class OccupancyGrid:
         """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""
         if ahead.store is self._store and ahead.before is self._copies:
             self._copies = made
+
+    @property
+    def uncopied_bytes(self) -> int:
+        """How much the next copy has to copy."""
+        return uncopied_tiles(self._store, self._copies) * self._store.tile_bytes
 
     def checkpoint(self) -> Checkpoint:
         """The map as it is now, for a store; only tiles that were written since the last copy are copied."""

@@ -1,14 +1,17 @@
 """Stores that are tampered with: every kind of damage, at random places, and what comes of it.
 
-A damaged store is refused in one line, or holds a state that its map once had, exactly.
+A damaged store is refused in one line, or holds a state that its map once had, exactly. As a program,
+`python tests/tampering.py TIMES`, it says of each kind of damage what became of how many stores.
 """
 
 import random
 import shutil
 import sqlite3
+import sys
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from ogm_core.errors import BadInput, BadStore
 from ogm_services.mapper.storage.map_store import MapStore
@@ -17,6 +20,8 @@ from stored_maps import Story, fingerprint, grid_of, restored
 
 FILE, LOG = "map.sqlite", "map.sqlite-wal"
 COMMITS = 8
+SAVED = "saved exact", "saved in part", "saved nothing"
+"""What repair makes of a store that is refused."""
 PAGE = 4096
 
 
@@ -150,7 +155,7 @@ ROWS = (row_missing, row_missing, row_older, row_older, row_of_another, field_ch
 
 def tamper(rng, images, place):
     """Make a damaged store in `place`; the name of what was done."""
-    k = rng.randrange(1, COMMITS + 1)
+    k = COMMITS if rng.random() < 0.4 else rng.randrange(1, COMMITS)
     shutil.copytree(images.of(k), place)
     if rng.random() < 0.35:
         kind = rng.choice(ROWS)
@@ -235,3 +240,19 @@ def tampered(count, folder, seed=1, **changes):
         for used in (place, place.with_name(f"{place.name}-older"), damaged, Path(folder, "damaged-new")):
             shutil.rmtree(used, ignore_errors=True)
     return found
+
+
+def main(times):
+    """Tamper so often, and print a line for each kind of damage."""
+    with TemporaryDirectory() as folder:
+        found = tampered(times, folder)
+    for kind in sorted({kind for kind, _, _ in found}):
+        became = Counter()
+        for (damage, result, mended), times_found in found.items():
+            if damage == kind:
+                became["exact" if result == "exact" else f"saved {mended}"] += times_found
+        print(kind, *(became[said] for said in ("exact", *SAVED)), sep="; ")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -144,6 +144,12 @@ def copy_tiles(
     return TileCopies(store.rect, numbers, copied, blocks, revision, first + len(which), lineage)
 
 
+def uncopied_tiles(store: TileStore, before: TileCopies | None) -> int:
+    """How many tiles were written since the copy `before`."""
+    copied = 0 if before is None else placed(before.copied, before.rect, store.rect)
+    return int(np.count_nonzero(store.touched > copied))
+
+
 class CopyAhead(NamedTuple):
     """What a copy made while another thread writes the store is made of, taken before it begins.
 

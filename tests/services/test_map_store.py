@@ -82,6 +82,17 @@ def test_only_what_has_changed_is_written(tmp_path):
         assert sum(text == "COMMIT" for text in writes) == 1
 
 
+def test_a_map_that_nobody_has_looked_at_is_not_written_over(tmp_path):
+    with MapStore(tmp_path) as store:
+        story = Story(store, grid_of())
+        story.integrate(2)
+        story.commit()
+    with MapStore(tmp_path) as store:
+        with pytest.raises(RuntimeError, match="is restored, or its map would be lost"):
+            Story(store, grid_of(epoch="other")).commit()
+        assert restored(store, story.grid.settings) == story.now
+
+
 def test_a_reset_map_takes_the_place_of_the_one_before(tmp_path):
     with MapStore(tmp_path) as store:
         story = Story(store, grid_of())
@@ -159,6 +170,13 @@ def test_a_contradiction_is_refused_by_name_with_both_values(stored, change, sai
         with pytest.raises(BadSetting, match=f"{re.escape(str(folder))}: .*{said}"):
             store.restore(replace(story.grid.settings, **change))
         assert restored(store, story.grid.settings) == story.now
+
+
+def test_another_kind_of_cell_is_one_contradiction(stored):
+    folder, story = stored
+    with MapStore(folder) as store, pytest.raises(BadSetting) as refusal:
+        store.restore(replace(story.grid.settings, cell_model=LogOdds("float64")))
+    assert str(refusal.value).count(", and there ") == 1
 
 
 def test_all_contradictions_are_named(stored):

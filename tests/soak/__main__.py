@@ -1,8 +1,8 @@
 """`python -m tests.soak`: the long versions of what the tests hold, and the tables of docs/guarantees.md.
 
-Four parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (requests
-made up from the description of the routes) and `overload`. Tables are kept of what ran at full length: ten
-minutes, and 10,000 examples.
+Five parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (requests
+made up from the description of the routes), `stores` (stored maps that are damaged) and `overload`. Tables
+are kept of what ran at full length: ten minutes, 10,000 examples, and 300 damaged stores.
 """
 
 import argparse

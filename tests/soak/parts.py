@@ -50,6 +50,18 @@ def files(seconds: float) -> Part:
     return Part({"files": markdown(rows) + f"\nMost memory of the reading process: {memory[2]}.\n"})
 
 
+def stores(seconds: float) -> Part:
+    """Stored maps that are damaged at random places: 300 at full length."""
+    done = _program([sys.executable, "tests/tampering.py", str(max(20, round(seconds / FULL * 300)))])
+    if done.returncode:
+        return Part(wrong=[f"a damaged store:\n{done.stdout}{done.stderr}"])
+    heads = ["damage", "an exact state", "refused; repaired: exactly", "in part", "not at all"]
+    rows = [line.split("; ") for line in done.stdout.splitlines()]
+    rows = [[row[0].replace("_", " "), *row[1:]] for row in rows]
+    total = ["**all**", *(f"**{sum(int(row[k]) for row in rows)}**" for k in range(1, 5))]
+    return Part({"stores": markdown([heads, *rows, total])})
+
+
 def _program(command: list[str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
@@ -107,5 +119,6 @@ PARTS: dict[str, Callable[[float], Part]] = {
     "examples": examples,
     "files": files,
     "http": http,
+    "stores": stores,
     "overload": overload,
 }

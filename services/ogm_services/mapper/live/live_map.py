@@ -131,9 +131,12 @@ class LiveMap:
         with self._writing:
             self._grid.take_ahead(ahead, made)
 
-    def checkpoint(self) -> Checkpoint:
-        """Writer: the map as it is now, for a store."""
+    def checkpoint(self, most: int | None = None) -> Checkpoint | None:
+        """Writer: the map as it is now, for a store; None if more than `most` bytes were to be copied."""
         with self._writing:
+            # Before the first scan what the map began with counts as uncopied, and nobody waits for the lock.
+            if most is not None and self._grid.revision and self._grid.uncopied_bytes > most:
+                return None
             return self._grid.checkpoint()
 
     @property

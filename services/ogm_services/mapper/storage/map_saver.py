@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -13,6 +13,7 @@ from typing import Any, Self, TypeVar
 from ogm_core.errors import OgmError
 from ogm_core.grid_settings import GridSettings
 from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_store import MapStore
 from ogm_services.runtime.limited_log import LimitedLog
 
@@ -20,6 +21,9 @@ PERIOD = 1.0
 """The map is stored at most so often, s."""
 SHARE = 0.2
 """Of the time: a commit that takes longer than this part of a period is followed by a longer rest."""
+
+_LOOK_PERIOD = 0.1
+"""How often who has asked looks whether the store is closed, s."""
 
 log = logging.getLogger(__name__)
 _T = TypeVar("_T")
@@ -81,9 +85,16 @@ class MapSaver:
         self._take = take
 
     def do(self, job: Callable[[MapStore], _T]) -> _T:
-        """What `job` makes of the store, on its thread, after what it is at; what it raises is raised."""
+        """What `job` makes of the store, on its thread, after what it is at; what it raises is raised.
+
+        Raises:
+            StoreFails: the store is closed.
+        """
         done: Future[_T] = Future()
         self._jobs.put((job, done))
+        while not wait([done], _LOOK_PERIOD).done:
+            if not self._thread.is_alive() and not done.done():
+                raise StoreFails(f"{self._folder}: the mapper is stopping, and the store is closed")
         return done.result()
 
     def save(self, name: str) -> None:

@@ -16,12 +16,12 @@ from typing import Self
 
 from ogm_core.errors import BadStore
 from ogm_core.grid_settings import GridSettings
-from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_core.tiles.checkpoint import Checkpoint, KeptTile
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
 from ogm_services.mapper.storage.folder_lock import FolderLock
-from ogm_services.mapper.storage.layout import FILE, WAL_BYTES, created_file, open_file
+from ogm_services.mapper.storage.layout import FILE, WAL_BYTES, created_file, flush_folder, open_file
 from ogm_services.mapper.storage.map_settings import as_text
 from ogm_services.mapper.storage.reading import RestoredMap, read_map
 from ogm_services.mapper.storage.rows import StoredState
@@ -46,6 +46,7 @@ class MapStore:
         self._root = Root()
         self._state: StoredState | None = None
         self._unstored: dict[str, bytes | None] = {}
+        self._looked = False
         self._lock = FolderLock(folder)
         try:
             self._connection = self._opened()
@@ -82,6 +83,7 @@ class MapStore:
             BadStore, BadSetting: as `read_map`.
         """
         restored = read_map(self._connection, settings, self.path, self.folder)
+        self._looked = True
         if restored is not None:
             self._state, self._root = restored.state, restored.root
         return restored
@@ -100,20 +102,25 @@ class MapStore:
         """Store a map, and the parts of the placing state that have changed since they were last given.
 
         A part that is None is there no more. What earlier commits have failed to store is stored, too.
+        A store that was there before is restored first.
 
         Raises:
             DiskFull, StoreFails: nothing of it is stored, and nothing forgotten.
         """
+        if not self._looked:
+            raise RuntimeError("a store that was there before is restored, or its map would be lost")
         self._unstored.update(placing)
         before = self._state
         whole = before is None or before.map.epoch != checkpoint.state.epoch
         text = as_text(settings)
         with self._transaction():
+            # What a failed transaction has written all the same is written once more: it began no later.
             if whole:
                 self._connection.execute("DELETE FROM tiles")
-            # What a failed transaction has written all the same is written once more: it began no later.
+            if before is None:
+                self._connection.execute("DELETE FROM placing")
             changes = rows.write_placing(self._connection, self._unstored)
-            for tile in checkpoint.tiles_since(0 if before is None or whole else before.map.revision):
+            for tile in _unstored_tiles(checkpoint, None if whole else before):
                 changes[tile.tx, tile.ty] = rows.write_tile(self._connection, tile)
             root = self._root.changed(changes, without_tiles=whole)
             state = rows.new_state(checkpoint.state, run, text, root)
@@ -135,6 +142,8 @@ class MapStore:
         with told_as_failure(self.path):
             with created_file(self.path):
                 pass
+            flush_folder(self.folder.absolute().parent)
+            self._looked = True
             return open_file(self.path)
 
     @contextmanager
@@ -149,3 +158,12 @@ class MapStore:
                 with contextlib.suppress(sqlite3.Error):  # SQLite may have rolled back by itself
                     self._connection.execute("ROLLBACK")
                 raise
+
+
+def _unstored_tiles(checkpoint: Checkpoint, before: StoredState | None) -> Iterator[KeptTile]:
+    """The tiles that have changed since what is stored; all without that."""
+    if before is None:
+        return checkpoint.tiles_since(0)
+    if before.map.revision == checkpoint.state.revision:  # those that a map began with have changed as little
+        return iter(())
+    return checkpoint.tiles_since(before.map.revision)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
 import numpy as np
 
@@ -85,7 +86,8 @@ def _best_of(folder: Path, scratch: Path) -> Salvage:
         place.mkdir()
         for name in names:
             if (folder / name).exists():
-                shutil.copyfile(folder / name, place / name)
+                with _readable(folder / name) as source, (place / name).open("wb") as copy:
+                    shutil.copyfileobj(source, copy)
         try:
             with closing(open_file(place / FILE)) as connection:
                 found.append(salvage(connection))
@@ -96,6 +98,13 @@ def _best_of(folder: Path, scratch: Path) -> Salvage:
     if not found:
         raise BadStore(f"{folder / FILE}: nothing can be saved of it: {reason}") from reason
     return max(found, key=lambda salvage: (salvage.exact, len(salvage.tiles)))
+
+
+def _readable(path: Path) -> BinaryIO:
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _write(found: Salvage, path: Path) -> MapState:

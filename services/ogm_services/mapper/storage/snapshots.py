@@ -12,7 +12,7 @@ from ogm_core.wire.keys import MAX_NAME, NAME
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
-from ogm_services.mapper.storage.layout import created_file, flush_folder, open_file
+from ogm_services.mapper.storage.layout import FILE, created_file, flush_folder, open_file
 from ogm_services.mapper.storage.reading import read_map
 from ogm_services.replies.answer import UnknownName
 
@@ -52,7 +52,8 @@ class Snapshots:
         path = self._path(name)
         if path.exists():
             raise BadParameter(f"name {name}: there is a snapshot of this name: delete it, or take another")
-        stored = rows.read_state(self._connection)
+        with told_as_damage(self._store / FILE, self._store):
+            stored = rows.read_state(self._connection)
         if stored is None:
             raise BadParameter(f"name {name}: no map is stored yet: try again in a second")
         root = Root()
