@@ -114,11 +114,8 @@ class MapStore:
         whole = before is None or before.map.epoch != checkpoint.state.epoch
         text = as_text(settings)
         with self._transaction():
-            # What a failed transaction has written all the same is written once more: it began no later.
             if whole:
                 self._connection.execute("DELETE FROM tiles")
-            if before is None:
-                self._connection.execute("DELETE FROM placing")
             changes = rows.write_placing(self._connection, self._unstored)
             for tile in _unstored_tiles(checkpoint, None if whole else before):
                 changes[tile.tx, tile.ty] = rows.write_tile(self._connection, tile)
