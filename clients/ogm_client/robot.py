@@ -29,6 +29,11 @@ from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
 _UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
+CACHE_SAMPLES = 600
+"""Scans of each sensor that a publisher keeps for a mapper that has missed them, unless told otherwise."""
+POSES_A_SCAN = 5
+"""It keeps so many times as many poses: scans that are older than all poses would be of no use."""
+MAX_CACHE_SAMPLES = 100_000
 _MAX_RUNS = 64
 """So many runs of a publisher are said to be alive: its own, and those of messages that it is given."""
 _DAY_NS = 86_400 * 10**9
@@ -47,8 +52,13 @@ class RobotPublisher:
     own, and each key counts its messages from 0 in `seq`, so that the mapper can tell duplicates and losses.
 
     Messages that the network cannot take in time are dropped, so a slow link never stops a robot; with
-    `reliable`, publishing waits instead. A connection that breaks is made again by itself; what is published
-    meanwhile is lost either way.
+    `reliable`, publishing waits instead. A connection that breaks is made again by itself.
+
+    What was dropped, or published while the connection or the mapper was away, a mapper asks for once it
+    notices: the publisher keeps the last `cache_samples` scans of each sensor and five times as many poses.
+    At 10 scans and up to 50 poses a second that is the last minute. The defaults take 3 MB for each sensor
+    of 1081 beams and 1.5 MB for the poses. The publisher has to live until then: what it keeps ends with it.
+    While a mapper fetches it over a slow link, publishing waits, a few seconds at most.
 
     Thread safety: poses and scans may be published from different threads, also those of one key; a lock per
     key makes the order on the wire that of `seq`. Closing while another thread publishes makes that thread's
@@ -65,6 +75,7 @@ class RobotPublisher:
         map_name: str = "default",
         run: str | None = None,
         reliable: bool = False,
+        cache_samples: int = CACHE_SAMPLES,
         wait: bool = True,
         connect_timeout: float = math.inf,
     ) -> None:
@@ -73,16 +84,21 @@ class RobotPublisher:
         Without an address: as `zenoh_config` says, a Zenoh configuration file (JSON5, with TLS if you like),
         else to a mapper on this machine. With both, the address overrides the file's.
 
+        `cache_samples`: how many scans of each sensor are kept; 0: nothing is kept.
+
         `run` names this run of the robot; None makes a fresh one. A mapper, or a router, that starts later
         is waited for, up to `connect_timeout` in seconds; without `wait` it must be there.
 
         Raises:
-            BadSetting: a name cannot stand in a key, or the address, the file or the timeout is ill-formed.
+            BadSetting: a name cannot stand in a key, or the address, the file, the timeout or `cache_samples`
+                is ill-formed.
             CannotConnect: the address's host is unknown, or nothing takes connections there in time.
             ClientError: the open session is closed.
         """
         if not connect_timeout >= 0.0:
             raise BadSetting(f"connect_timeout: 0 s or more are needed, got {connect_timeout}")
+        if type(cache_samples) is not int or not 0 <= cache_samples <= MAX_CACHE_SAMPLES:
+            raise BadSetting(f"cache_samples: 0 to {MAX_CACHE_SAMPLES} are needed, got {cache_samples!r}")
         if session is not None and zenoh_config is not None:
             raise BadSetting("zenoh_config: an open session has a configuration already; give one of the two")
         self.robot = check_name(robot, "robot")
@@ -91,6 +107,7 @@ class RobotPublisher:
         self._closed = False
         self._warned = False
         self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
+        self._cache_samples = cache_samples
         self._channels: dict[str, Channel] = {}
         self._channels_lock = threading.Lock()
         with ExitStack() as opening:
@@ -296,26 +313,25 @@ class RobotPublisher:
             raise ClientError(f"{alive}: not declared {self._where}: {reason(error)}") from error
 
     def _pose_channel(self) -> Channel:
-        return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA)
+        cached = POSES_A_SCAN * self._cache_samples
+        return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA, cached)
 
     def _scan_channel(self, sensor: str) -> Channel:
-        return self._channel(self._keys.scan(self.robot, sensor), messages.SCAN_SCHEMA)
+        key = self._keys.scan(self.robot, sensor)
+        return self._channel(key, messages.SCAN_SCHEMA, self._cache_samples)
 
-    def _channel(self, key: str, schema: str) -> Channel:
+    def _channel(self, key: str, schema: str, cached: int) -> Channel:
         with self._channels_lock:
             if self._closed:
                 raise ClientError(f"{key}: the publisher is closed")
             channel = self._channels.get(key)
             if channel is None:
-                encoding = zenoh.Encoding(messages.MEDIA_TYPE).with_schema(schema)
                 try:
-                    publisher = self._session.declare_publisher(
-                        key, encoding=encoding, congestion_control=self._congestion
-                    )
+                    channel = Channel(self._session, key, schema, self._congestion, cached)
                 except zenoh.ZError as error:
                     raise ClientError(f"{key}: cannot publish: {reason(error)}") from error
-                self._open.callback(publisher.undeclare)
-                channel = self._channels[key] = Channel(publisher)
+                self._open.callback(channel.close)
+                self._channels[key] = channel
         return channel
 
 

@@ -199,8 +199,14 @@ class _Replay:
 
     def _publisher(self, robot: str) -> RobotPublisher:
         if robot not in self._robots:
+            # Nothing is kept: what a replay sends is in its file, and it waits for what it has sent.
             publisher = RobotPublisher(
-                robot, session=self._session, map_name=self._map_name, run=self._run, reliable=True
+                robot,
+                session=self._session,
+                map_name=self._map_name,
+                run=self._run,
+                reliable=True,
+                cache_samples=0,
             )
             self._robots[robot] = self._opening.enter_context(publisher)
             publisher.wait_for_mapper(MAPPER_PATIENCE)
