@@ -127,6 +127,16 @@ def glance(payload: bytes) -> tuple[Ranges, float, float, float] | None:
         return None
 
 
+def numbering(payload: bytes) -> tuple[int, int, str]:
+    """Stamp, seq and run of a pose or scan message, whatever the rest of it is.
+
+    Raises:
+        BadMessage: one of them is missing, of the wrong type or out of range.
+    """
+    fields = _unpack(payload)
+    return _count(fields, "stamp"), _count(fields, "seq"), _run(fields)
+
+
 def pose_from_fields(fields: Fields) -> PoseStamped:
     """Check a pose message's fields.
 
