@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
@@ -200,6 +200,23 @@ class ScanQueue:
             robot.posing = 0.0
             self._work += robot.work - before
             return self._make_room(name)
+
+    def has_room(self, name: str, names: Sequence[str], part: float) -> bool:
+        """Whether nothing of a robot waits, or what waits of these robots is less than a part of each bound.
+
+        It is looked how large scans are, a few at a time: who fills the queue in one go asks before each.
+        """
+        with self._lock:
+            mine = self._robots.get(name)
+            if self._closed or mine is None or not (mine.scans or mine.poses):
+                return True
+            self._look()
+            poses = sum(self._robots[other].poses for other in names if other in self._robots)
+            return (
+                mine.poses < part * MAX_POSES_OF_ROBOT
+                and poses < part * MAX_POSES
+                and sum(map(self._share, names)) < part
+            )
 
     def close(self) -> None:
         """Let everyone who waits go on; nothing is taken any more."""

@@ -7,14 +7,15 @@ from functools import lru_cache, partial
 
 import zenoh
 
-from ogm_core.errors import BadMessage
-from ogm_core.placing.reasons import too_many_robots, too_many_sensors
+from ogm_core.placing.reasons import too_many_robots
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
-from ogm_core.wire.keys import MapKeys, Source
-from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
+from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.intake.caches import Caches
+from ogm_services.mapper.intake.hold_and_ask import Decided, HoldAndAsk
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.reception import Losses, Reception
 from ogm_services.runtime.limited_log import LimitedLog
 
 REMEMBERED_KEYS = 1000
@@ -28,8 +29,9 @@ log = logging.getLogger(__name__)
 class ZenohSubscriber:
     """Takes poses and scans alike, so that their order is kept, until `close`.
 
-    Zenoh's thread calls the callbacks, which count and enqueue, and decode nothing: they would hold up the
-    link. They do so where a pose has to wait for room in the queue: that slows down who sends too many. What
+    Zenoh's thread calls the callbacks, which count and enqueue, and decode a message's head at most: they
+    would hold up the link. They do so where a pose has to wait for room: that slows down who sends too many.
+    What
     is longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The robots'
     liveliness tokens take the same way, so that the worker hears of a robot's end after what came before it.
     """
@@ -44,20 +46,28 @@ class ZenohSubscriber:
         *,
         max_beams: int,
         overload: Overload | None = None,
+        decided: Decided | None = None,
+        losses: Losses | None = None,
     ) -> None:
+        """With `decided`, what was missed is asked for, and `losses` counts what cannot be had any more."""
         self._session = session
         self._placer = placer
         self._keys = keys
         self._source_of = lru_cache(REMEMBERED_KEYS)(keys.source_of)
         self._queue = queue
         self._receipts = receipts
-        self._max_scan_bytes = max_scan_bytes(max_beams)
-        self._overload = overload or Overload(queue, receipts)
+        self._reception = Reception(queue, receipts, max_beams=max_beams, overload=overload, losses=losses)
+        caches = Caches(session, keys, self._reception.longest)
+        self.hold = None if decided is None else HoldAndAsk(caches, decided, self._reception)
+        """What holds robots back while they are asked for what was missed; None if nobody asks."""
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
 
     def declare(self) -> None:
         """Declare the subscriber: from here on nothing that is put is missed."""
+        if self.hold is not None:
+            self._declared.callback(self.hold.stop)
+            self.hold.start()
         tokens = zenoh.handlers.Callback(self._token_changed, indirect=False)
         alive = self._keys.alive("robot", "*", "*")
         self._declared.push(self._session.liveliness().declare_subscriber(alive, tokens, history=True))
@@ -74,12 +84,15 @@ class ZenohSubscriber:
         if source is None or sample.kind != zenoh.SampleKind.PUT:
             self._receipts.ignored()
             return
-        now = time.monotonic()
-        if self._refused(source, now) or self._too_long(source, len(sample.payload)):
-            return
-        dropped = self._queue.put(Message(source, sample.payload.to_bytes(), now))
-        if dropped:
-            self._overload.note(dropped)
+        length = len(sample.payload)
+        if length > self._reception.longest(source):
+            self._reception.refuse_long(source, length)
+            if self.hold is not None:
+                self.hold.unread(source)
+        elif self.hold is None:
+            self._reception.hand_on(source, sample.payload.to_bytes())
+        else:
+            self.hold.take(source, sample.payload.to_bytes(), time.monotonic())
 
     def _token_changed(self, sample: zenoh.Sample) -> None:
         """Have the worker told, after the messages that have come, that a robot's run is there or gone."""
@@ -93,33 +106,8 @@ class ZenohSubscriber:
             return
         note = self._placer.robot_here if here else self._placer.robot_gone
         told = partial(note, found.robot, found.run, now)
-        self._queue.put(Message(None, b"", now, told, robot=found.robot))
-
-    def _refused(self, source: Source, now: float) -> bool:
-        """Count a message; whether it is of one robot, or sensor, too many, so that nothing is kept of it."""
-        robot, sensor = source
-        if sensor is None:
-            taken = self._receipts.pose_received(robot, now)
+        put = partial(self._queue.put, Message(None, b"", now, told, robot=found.robot))
+        if self.hold is None:
+            put()
         else:
-            taken = self._receipts.scan_received(robot, sensor, now)
-        if taken:
-            return False
-        if sensor is None or not self._receipts.admits(robot, now):
-            self._complaints.warning(ROBOTS, too_many_robots(robot).text)
-        else:
-            self._complaints.warning(robot, too_many_sensors(sensor).text)
-        return True
-
-    def _too_long(self, source: Source, length: int) -> bool:
-        """Whether a message cannot be one of its kind, because of its length in bytes; it is counted."""
-        robot, sensor = source
-        try:
-            check_length(length, MAX_POSE_BYTES if sensor is None else self._max_scan_bytes)
-        except BadMessage as error:
-            if sensor is None:
-                self._receipts.pose_noted("malformed")
-            else:
-                self._receipts.scan_dropped(robot, sensor, "malformed")
-            self._complaints.warning(f"{robot}/{sensor or 'pose'}", str(error))
-            return True
-        return False
+            self.hold.do_in_turn(found.robot, put)
