@@ -163,7 +163,8 @@ class HoldAndAsk:
         """Hand on nothing more of what is held or asked for, and end."""
         self._stopping.set()
         self._caches.close()
-        self._looker.join()
+        if self._looker.is_alive():
+            self._looker.join()
         self._askers.shutdown(wait=True, cancel_futures=True)
 
     def take(self, source: Source, payload: bytes, now: float) -> None:

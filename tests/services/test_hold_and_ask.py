@@ -1,0 +1,460 @@
+"""Hold and ask, on real sessions: what was missed comes out of caches, in order and once, before the rest."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import zenoh
+from zenoh import ext
+
+from ogm_client import RobotPublisher
+from ogm_client.session import NetworkConfig, open_session
+from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_core.wire.heads import read_head
+from ogm_core.wire.keys import MapKeys, Source
+from ogm_core.wire.messages import encode_pose, encode_scan
+from ogm_services.mapper.intake import caches as caches_module
+from ogm_services.mapper.intake import hold_and_ask as hold_module
+from ogm_services.mapper.intake.caches import Caches
+from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
+
+KEYS = MapKeys("hall")
+POSES, SCANS = Source("r", None), Source("r", "s")
+NUMBERED = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
+
+
+@dataclass
+class Recorder:
+    """What is handed on, lost and replayed; what was decided in an earlier life; whether there is room."""
+
+    handed_on: list = field(default_factory=list)
+    """("pose" or sensor, run, seq), or the payload of what has no number."""
+    gone: list = field(default_factory=list)
+    came_again: list = field(default_factory=list)
+    decided: set = field(default_factory=set)
+    """(sensor or None, run, seq)."""
+    up_to: dict = field(default_factory=dict)
+    """By (sensor or None, run)."""
+    robots: int = 10
+    room: bool = True
+
+    def hand_on(self, source, payload):
+        head = read_head(payload)
+        self.handed_on.append(payload if head is None else (source.sensor or "pose", head[2], head[1]))
+
+    def admits(self, robot):
+        return robot != "refused"
+
+    def has_room(self, robot, robots, part):
+        assert robot in robots
+        return self.room
+
+    def lost(self, source, count, run, seqs):
+        self.gone.append((source.sensor, run, count, list(seqs)))
+
+    def replayed(self, source):
+        self.came_again.append(source.sensor)
+
+    def is_decided(self, robot, sensor, run, seq):
+        return (sensor, run, seq) in self.decided
+
+    def last(self, robot, sensor, run):
+        return self.up_to.get((sensor, run))
+
+    def seqs(self, key="s", run="a"):
+        return [item[2] for item in self.handed_on if item[:2] == (key, run)]
+
+
+@pytest.fixture
+def recorder():
+    return Recorder()
+
+
+@pytest.fixture
+def hold(listener, recorder):
+    """Holds and asks on `listener`; what comes is put in by the test, with `take`."""
+    hold = HoldAndAsk(Caches(listener, KEYS, lambda _: 1000), recorder, recorder)
+    yield hold
+    hold.stop()
+
+
+@pytest.fixture
+def started(hold):
+    """The same, that hears of caches and looks."""
+    hold.start()
+    return hold
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Pauses are short."""
+    monkeypatch.setattr(hold_module, "PAUSES", (0.02, 0.02))
+
+
+@pytest.fixture
+def robot_session(listener, endpoint):
+    with open_session(NetworkConfig(connect=(endpoint,))) as session:
+        yield session
+
+
+@pytest.fixture
+def cache(robot_session, listener, eventually):
+    """`cache(source, samples=...)` is a publisher with a cache, of one that numbers its samples."""
+
+    def make(source=SCANS, samples=1000, **options):
+        key = KEYS.pose("r") if source.sensor is None else KEYS.scan("r", source.sensor)
+        config = ext.CacheConfig(max_samples=samples)
+        options = {"sample_miss_detection": NUMBERED, "publisher_detection": True, **options}
+        publisher = ext.declare_advanced_publisher(robot_session, key, cache=config, **options)
+        eventually(lambda: is_known(listener, source))
+        return publisher
+
+    return make
+
+
+def is_known(listener, source=SCANS):
+    """Whether the token of a cache is there, which can be asked then: its declaration takes a moment."""
+    key = KEYS.pose("r") if source.sensor is None else KEYS.scan("r", source.sensor)
+    return any(listener.liveliness().get(f"{key}/@adv/**", timeout=30.0))
+
+
+@pytest.fixture
+def asked(listener, monkeypatch):
+    """The parameters of every question that was asked."""
+    questions, ask = [], Caches.ask
+
+    def noting(self, robot, keys, parameters, account):
+        questions.append(parameters)
+        return ask(self, robot, keys, parameters, account)
+
+    monkeypatch.setattr(Caches, "ask", noting)
+    return questions
+
+
+def scan(seq, run="a", stamp=None):
+    ranges = np.ones(3, np.float32)
+    return encode_scan(Scan(seq if stamp is None else stamp, 0.0, 0.1, 0.1, 30.0, ranges, seq=seq, run=run))
+
+
+def pose(seq, run="a", stamp=None):
+    return encode_pose(PoseStamped(seq if stamp is None else stamp, Pose(0.0, 0.0, 0.0), seq, run))
+
+
+def take(hold, *payloads, source=SCANS):
+    for payload in payloads:
+        hold.take(source, payload, time.monotonic())
+
+
+def test_messages_that_follow_one_another_are_handed_on_at_once_and_nobody_is_asked(hold, recorder, asked):
+    take(hold, *(scan(seq) for seq in range(5)), *(scan(9, run="") for _ in range(3)))
+    take(hold, *(pose(seq) for seq in range(3)), source=POSES)
+    assert recorder.seqs() == [0, 1, 2, 3, 4]
+    assert recorder.seqs("pose") == [0, 1, 2]
+    assert recorder.seqs(run="") == [9, 9, 9]
+    assert (asked, recorder.gone, hold.held) == ([], [], 0)
+
+
+def test_what_is_missing_comes_out_of_the_cache_before_what_came_later(hold, recorder, cache, eventually):
+    publisher = cache()
+    for seq in range(10):
+        publisher.put(scan(seq))
+    take(hold, scan(0), scan(1), scan(5), scan(6))
+    eventually(lambda: len(recorder.handed_on) == 10)
+    assert recorder.seqs() == list(range(10))
+    take(hold, *(scan(seq) for seq in (7, 8, 9, 10)))
+    eventually(lambda: len(recorder.handed_on) == 11)
+    assert recorder.seqs() == list(range(11))
+    # 5 and 6 were held, 7 to 9 came after: they came twice.
+    eventually(lambda: len(recorder.came_again) == 5)
+    eventually(lambda: hold.held == 0)
+    assert recorder.gone == []
+
+
+def test_a_long_backlog_comes_in_parts(hold, recorder, cache, asked, eventually, monkeypatch):
+    monkeypatch.setattr("ogm_services.mapper.intake.backlog.PART", 20)
+    recorder.up_to[SCANS.sensor, "a"] = 99
+    publisher = cache()
+    for seq in range(200):
+        publisher.put(scan(seq))
+    take(hold, scan(199))
+    eventually(lambda: len(recorder.handed_on) == 100)
+    assert recorder.seqs() == list(range(100, 200))
+    parts = [question for question in asked if ".." in question and "_max" not in question]
+    assert parts == ["_sn=100..120", "_sn=121..141", "_sn=142..162", "_sn=163..183"]
+    assert recorder.gone == []
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_a_run_that_nobody_knows_is_taken_from_the_first_that_is_kept(
+    endpoint, listener, recorder, hold, eventually, numbered
+):
+    """A cache of 300, of which 500 messages were sent: one that numbers its samples and one that does not."""
+    config = zenoh.Config.from_json5(
+        f'{{mode: "client", connect: {{endpoints: ["{endpoint}"]}}, timestamping: {{enabled: true}}}}'
+    )
+    with zenoh.open(config) as session:
+        options = {"publisher_detection": True, **({"sample_miss_detection": NUMBERED} if numbered else {})}
+        publisher = ext.declare_advanced_publisher(
+            session, KEYS.scan("r", "s"), cache=ext.CacheConfig(max_samples=300), **options
+        )
+        eventually(lambda: is_known(listener))
+        for seq in range(500):
+            publisher.put(scan(seq))
+        take(hold, scan(500))
+        eventually(lambda: len(recorder.handed_on) == 301)
+        assert recorder.seqs() == list(range(200, 501))
+        assert recorder.gone == []
+
+
+def test_poses_and_scans_are_merged_by_stamp_a_pose_first_each_key_in_its_order(
+    hold, recorder, cache, eventually
+):
+    poses, scans, others = cache(POSES), cache(SCANS), cache(Source("r", "t"))
+    for seq, stamp in enumerate([10, 20, 30, 30, 5, 40]):  # the clock goes back once
+        poses.put(pose(seq, stamp=stamp))
+    for seq, stamp in enumerate([10, 15, 30, 41]):
+        scans.put(scan(seq, stamp=stamp))
+    others.put(scan(0, stamp=15))
+    take(hold, scan(4, stamp=50))
+    eventually(lambda: len(recorder.handed_on) == 12)
+    order = [(key, seq) for key, _, seq in recorder.handed_on]
+    assert order[:2] == [("pose", 0), ("s", 0)]
+    assert sorted(order[2:4]) == [("s", 1), ("t", 0)]
+    assert order[4:] == [
+        *(("pose", 1), ("pose", 2), ("pose", 3), ("pose", 4)),  # the last one before what its stamp says
+        *(("s", 2), ("pose", 5), ("s", 3), ("s", 4)),
+    ]
+
+
+def test_what_was_decided_in_an_earlier_life_is_replayed(hold, recorder, cache, eventually):
+    recorder.up_to["s", "a"] = 3
+    recorder.decided |= {("s", "a", seq) for seq in (0, 1, 2, 3, 5, 6)}
+    publisher = cache()
+    for seq in range(9):
+        publisher.put(scan(seq))
+    take(hold, scan(9))
+    eventually(lambda: len(recorder.handed_on) == 4)
+    assert recorder.seqs() == [4, 7, 8, 9]
+    assert recorder.came_again == ["s", "s"]
+    assert recorder.gone == []
+
+
+def test_a_gap_that_no_cache_fills_is_asked_for_three_times_and_lost(
+    hold, recorder, listener, robot_session, asked, eventually
+):
+    questions = []
+
+    def nothing(query):
+        with query:
+            questions.append(str(query.selector))
+
+    handler = zenoh.handlers.Callback(nothing, indirect=False)
+    robot_session.declare_queryable(f"{KEYS.scan('r', 's')}/@adv/pub/x/1/_", handler)
+    token = robot_session.liveliness().declare_token(f"{KEYS.scan('r', 's')}/@adv/pub/x/1/_")
+    eventually(lambda: is_known(listener))
+    take(hold, scan(0), scan(1), scan(5), scan(7))
+    take(hold, pose(0), source=POSES)
+    eventually(lambda: recorder.seqs("pose"))
+    assert recorder.seqs() == [0, 1, 5, 7]
+    assert recorder.gone == [("s", "a", 3, [2, 3, 4]), ("s", "a", 1, [6])]
+    assert len(asked) == 3
+    assert len(questions) == 3
+    token.undeclare()
+    take(hold, scan(9))  # there is no cache, as is known by now
+    assert recorder.seqs() == [0, 1, 5, 7, 9]
+    assert recorder.gone[2:] == [("s", "a", 1, [8])]
+    assert len(asked) == 3
+
+
+def test_a_new_run_is_asked_for_again_where_no_cache_was(hold, recorder, cache, eventually):
+    take(hold, scan(0), scan(2))
+    eventually(lambda: recorder.gone)
+    publisher = cache()
+    for seq in range(3):
+        publisher.put(scan(seq, run="b"))
+    take(hold, scan(3, run="b"))
+    eventually(lambda: len(recorder.seqs(run="b")) == 4)
+    assert recorder.seqs(run="b") == [0, 1, 2, 3]
+
+
+def test_what_a_cache_keeps_no_more_is_lost_and_the_rest_is_taken(hold, recorder, cache, eventually):
+    publisher = cache(samples=40)
+    for seq in range(100):
+        publisher.put(scan(seq))
+    take(hold, scan(0), scan(99))
+    eventually(lambda: len(recorder.handed_on) == 41)
+    assert recorder.seqs() == [0, *range(60, 100)]
+    assert recorder.gone == [("s", "a", 59, list(range(1, 60)))]
+
+
+def test_seqs_that_a_publisher_left_out_are_lost_at_once(hold, recorder, cache, asked, eventually):
+    publisher = cache()
+    for seq in range(0, 12, 3):
+        publisher.put(scan(seq))
+    take(hold, scan(0), scan(9))
+    eventually(lambda: len(recorder.handed_on) == 4)
+    assert recorder.seqs() == [0, 3, 6, 9]
+    assert [count for _, _, count, _ in recorder.gone] == [2, 2, 2]
+    assert asked == ["_max=16"]
+
+
+def test_a_cache_that_appears_is_asked(started, recorder, cache, eventually):
+    publisher = cache(POSES)
+    for seq in range(3):
+        publisher.put(pose(seq))
+    eventually(lambda: len(recorder.handed_on) >= 1)  # it may have been asked before the first one
+    started.ask_all()
+    eventually(lambda: len(recorder.handed_on) == 3)
+    assert recorder.seqs("pose") == [0, 1, 2]
+
+
+def test_caches_that_were_there_before_are_asked(hold, recorder, endpoint, listener, eventually):
+    """A robot that publishes no more, as one that stopped while the mapper was away."""
+    sweep = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 30.0}
+    with RobotPublisher("r", address=endpoint, map_name="hall", run="a") as robot:
+        for stamp in range(40):
+            robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)
+            robot.publish_scan([1.0], sensor="s", stamp=stamp, **sweep)
+        hold.start()
+        eventually(lambda: len(recorder.handed_on) == 80)
+    assert recorder.handed_on == [(key, "a", seq) for seq in range(40) for key in ("pose", "s")]
+
+
+def test_a_source_that_is_silent_is_asked(started, recorder, cache, asked, eventually):
+    publisher = cache()
+    eventually(lambda: asked and not started.held and not any(r.at_work for r in started._robots.values()))
+    publisher.put(scan(0))
+    publisher.put(scan(1))
+    take(started, scan(0))  # the last one was missed
+    now = time.monotonic()
+    started.look(now + hold_module.SILENCE - 1.0)
+    assert recorder.seqs() == [0]
+    started.look(now + hold_module.SILENCE + 1.0)
+    eventually(lambda: recorder.seqs() == [0, 1])
+    before = len(asked)
+    started.look(now + hold_module.SILENCE + 2.0)  # it has just been asked
+    started.look(now + 2.0 * hold_module.SILENCE + 3.0)
+    assert len(asked) == before
+    publisher.put(scan(2))
+    started.look(now + 4.0 * hold_module.SILENCE)
+    eventually(lambda: recorder.seqs() == [0, 1, 2])
+
+
+def test_a_message_that_nobody_can_read_is_not_asked_for(hold, recorder, cache, asked, eventually):
+    publisher = cache()
+    for payload in (scan(0), b"bad", scan(2)):
+        publisher.put(payload)
+    take(hold, scan(0), b"bad", scan(2))
+    assert recorder.handed_on == [("s", "a", 0), b"bad", ("s", "a", 2)]
+    hold.unread(SCANS)  # one that was too long
+    take(hold, scan(4))
+    assert asked == []
+    publisher.put(b"too long" * 200)
+    publisher.put(scan(4))
+    publisher.put(scan(5))
+    take(hold, scan(6))
+    eventually(lambda: recorder.seqs() == [0, 2, 4, 5, 6])
+    assert recorder.gone == []
+
+
+def test_far_seqs_are_handed_on_and_nobody_is_asked(hold, recorder, asked):
+    take(hold, scan(0), scan(3_000_000), scan(1), scan(4_000_000))
+    assert recorder.seqs() == [0, 3_000_000, 1, 4_000_000]
+    assert asked == []
+
+
+def test_a_number_that_comes_again_by_itself_is_handed_on_for_the_placer_to_drop(hold, recorder):
+    take(hold, scan(0), scan(1), scan(1), scan(0, stamp=7))
+    assert recorder.seqs() == [0, 1, 1, 0]
+    assert recorder.came_again == []
+
+
+def test_what_waits_in_the_queue_is_only_so_much_of_a_backlog(hold, recorder, cache, eventually):
+    publisher = cache()
+    for seq in range(8):
+        publisher.put(scan(seq))
+    recorder.room = False
+    take(hold, scan(0), scan(7), scan(8))
+    time.sleep(0.2)
+    assert recorder.seqs() == [0]
+    recorder.room = True
+    eventually(lambda: recorder.seqs() == list(range(9)))
+
+
+def test_what_is_held_is_bounded_and_what_goes_comes_out_of_the_cache(
+    hold, recorder, cache, eventually, monkeypatch
+):
+    monkeypatch.setattr(hold_module, "MAX_BYTES", 40_000)
+    publisher = cache()
+    for seq in range(300):
+        publisher.put(scan(seq))
+    recorder.room = False
+    take(hold, scan(0), *(scan(seq) for seq in range(100, 300)))
+    assert hold._held <= 10_000
+    recorder.room = True
+    eventually(lambda: recorder.seqs() == list(range(300)))
+    eventually(lambda: hold.held == 0)
+    assert recorder.gone == []
+
+
+def test_other_robots_are_not_held(hold, recorder, cache):
+    publisher = cache()
+    publisher.put(scan(0))
+    recorder.room = False
+    take(hold, scan(1))
+    take(hold, scan(0, run="b"), scan(1, run="b"), source=Source("other", "s"))
+    assert recorder.seqs(run="b") == [0, 1]
+
+
+def test_a_cache_that_does_not_answer_holds_its_robot_for_three_questions(
+    hold, recorder, listener, robot_session, eventually, monkeypatch
+):
+    monkeypatch.setattr(caches_module, "TIMEOUT", 0.2)
+    kept = []
+    handler = zenoh.handlers.Callback(kept.append, indirect=False)
+    robot_session.declare_queryable(f"{KEYS.scan('r', 's')}/@adv/pub/x/1/_", handler)
+    _token = robot_session.liveliness().declare_token(f"{KEYS.scan('r', 's')}/@adv/pub/x/1/_")
+    eventually(lambda: is_known(listener))
+    take(hold, scan(0), scan(3), scan(4))
+    eventually(lambda: recorder.seqs() == [0, 3, 4])
+    assert len(kept) == 3
+    assert recorder.gone == [("s", "a", 2, [1, 2])]
+    for query in kept:
+        query.drop()
+
+
+def test_robots_and_sensors_past_the_limits_are_handed_on_to_be_refused(hold, recorder, asked):
+    take(hold, scan(5), source=Source("refused", "s"))
+    assert recorder.seqs() == [5]
+    for k in range(17):
+        take(hold, scan(0), source=Source("r", f"s{k}"))
+    take(hold, scan(9), source=Source("r", "s16"))
+    assert recorder.seqs("s16") == [0, 9]
+    assert asked == []
+
+
+def test_a_command_comes_after_what_is_held(hold, recorder, cache, eventually):
+    publisher = cache()
+    publisher.put(scan(0))
+    recorder.room = False
+    hold.do_in_turn("r", lambda: recorder.handed_on.append(b"before"))
+    take(hold, scan(1))
+    hold.do_in_turn("r", lambda: recorder.handed_on.append(b"after"))
+    assert recorder.handed_on == [b"before"]
+    recorder.room = True
+    eventually(lambda: len(recorder.handed_on) == 4)
+    assert recorder.handed_on == [b"before", ("s", "a", 0), ("s", "a", 1), b"after"]
+
+
+def test_a_stopped_one_hands_nothing_on(hold, recorder, cache):
+    publisher = cache()
+    publisher.put(scan(0))
+    recorder.room = False
+    take(hold, scan(1))
+    stopping = threading.Thread(target=hold.stop)
+    stopping.start()
+    stopping.join(30.0)
+    assert not stopping.is_alive()
+    assert recorder.handed_on == []
