@@ -44,20 +44,15 @@ class Noted:
         return [seq for name, _, seq, _ in self.taken[robot] if name == key]
 
 
-class NotingMapper:
-    """Starts and stops it. `listens`: on the endpoint, else it connects there."""
+class Process:
+    """A process of this file, that can be killed, frozen and started again: "listen", "connect" or "route"."""
 
-    def __init__(self, endpoint, path, *, listens=True):
-        self._command = [sys.executable, __file__, "listen" if listens else "connect", endpoint, str(path)]
-        self._path = path
+    def __init__(self, how, endpoint, *arguments):
+        self._command = [sys.executable, __file__, how, endpoint, *map(str, arguments)]
         self.process = None
 
-    @property
-    def noted(self):
-        return Noted.of(self._path)
-
     def start(self):
-        """Start it, and wait until it listens."""
+        """Start it, and wait until it is ready."""
         path = os.pathsep.join(map(str, (ROOT, ROOT / "services", ROOT / "clients")))
         self.process = subprocess.Popen(
             self._command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": path}
@@ -82,6 +77,19 @@ class NotingMapper:
         if self.process is not None:
             self.process.send_signal(signal.SIGCONT)
             self.kill()
+
+
+class NotingMapper(Process):
+    """One that listens on the endpoint, or connects there, and notes in a file."""
+
+    def __init__(self, endpoint, path, how="listen"):
+        super().__init__(how, endpoint, path)
+        self._path = path
+
+    @property
+    def noted(self):
+        """What it has noted, in all its lives."""
+        return Noted.of(self._path)
 
 
 class _Notes:
@@ -130,7 +138,21 @@ class _Notes:
         os.write(self._file, f"{line}\n".encode())
 
 
-def main(how, endpoint, path):
+def route(endpoint):
+    """Be a Zenoh router, until the end."""
+    import zenoh
+
+    config = zenoh.Config.from_json5(
+        f'{{mode: "router", listen: {{endpoints: ["{endpoint}"]}}, '
+        "scouting: {multicast: {enabled: false}, gossip: {enabled: false}}}"
+    )
+    with zenoh.open(config):
+        print("ready", flush=True)
+        while True:
+            time.sleep(60.0)
+
+
+def note(how, endpoint, path):
     """Note what comes, until the end."""
     from ogm_client.session import NetworkConfig, open_session
     from ogm_core.placing.receipts import Receipts
@@ -167,4 +189,7 @@ def main(how, endpoint, path):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if sys.argv[1] == "route":
+        route(sys.argv[2])
+    else:
+        note(*sys.argv[1:])
