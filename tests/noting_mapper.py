@@ -45,7 +45,7 @@ class Noted:
 
 
 class Process:
-    """A process of this file, that can be killed, frozen and started again: "listen", "connect" or "route"."""
+    """A process of this file that can be killed, frozen and started again: "listen", "connect", "route"."""
 
     def __init__(self, how, endpoint, *arguments):
         self._command = [sys.executable, __file__, how, endpoint, *map(str, arguments)]

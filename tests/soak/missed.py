@@ -23,7 +23,7 @@ class Robots:
     """Robots that publish poses and scans of the same stamps from threads of this process, until `stop`."""
 
     def __init__(self, endpoint, count, rate, starting=0.0):
-        """`count` robots at `rate` Hz, that start one after the other within `starting` s, and wait for nobody."""
+        """`count` robots at `rate` Hz that start one by one within `starting` s, and wait for nobody."""
         self.sent = {f"robot{k}": 0 for k in range(count)}
         self._endpoint, self._period, self._starting = endpoint, 1.0 / rate, starting
         self._open = ExitStack()
