@@ -113,6 +113,10 @@ class _Notes:
     def last(self, robot, sensor, run):
         return self._last.get((robot, sensor or "pose", run))
 
+    def skip(self, robot, sensor, run, first, last):
+        for seq in range(first, last + 1):
+            self._decide(robot, sensor or "pose", run, seq)
+
     def scan_lost(self, robot, sensor, count):
         self._write(f"lost {robot} {sensor} {count}")
 

@@ -17,6 +17,7 @@ from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.mapper.intake import caches as caches_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
+from ogm_services.mapper.intake import robot_hold
 from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 
@@ -37,7 +38,7 @@ class Recorder:
     """(sensor or None, run, seq)."""
     up_to: dict = field(default_factory=dict)
     """By (sensor or None, run)."""
-    robots: int = 10
+    skipped: list = field(default_factory=list)
     room: bool = True
 
     def hand_on(self, source, payload):
@@ -62,6 +63,9 @@ class Recorder:
 
     def last(self, robot, sensor, run):
         return self.up_to.get((sensor, run))
+
+    def skip(self, robot, sensor, run, first, last):
+        self.skipped.append((sensor, run, first, last))
 
     def seqs(self, key="s", run="a"):
         return [item[2] for item in self.handed_on if item[:2] == (key, run)]
@@ -259,6 +263,7 @@ def test_a_gap_that_no_cache_fills_is_asked_for_three_times_and_lost(
     eventually(lambda: recorder.seqs("pose"))
     assert recorder.seqs() == [0, 1, 5, 7]
     assert recorder.gone == [("s", "a", 3, [2, 3, 4]), ("s", "a", 1, [6])]
+    assert recorder.skipped == [("s", "a", 2, 4), ("s", "a", 6, 6)]
     assert len(asked) == 3
     assert len(questions) == 3
     token.undeclare()
@@ -329,16 +334,16 @@ def test_a_source_that_is_silent_is_asked(started, recorder, cache, asked, event
     publisher.put(scan(1))
     take(started, scan(0))  # the last one was missed
     now = time.monotonic()
-    started.look(now + hold_module.SILENCE - 1.0)
+    started.look(now + robot_hold.SILENCE - 1.0)
     assert recorder.seqs() == [0]
-    started.look(now + hold_module.SILENCE + 1.0)
+    started.look(now + robot_hold.SILENCE + 1.0)
     eventually(lambda: recorder.seqs() == [0, 1])
     before = len(asked)
-    started.look(now + hold_module.SILENCE + 2.0)  # it has just been asked
-    started.look(now + 2.0 * hold_module.SILENCE + 3.0)
+    started.look(now + robot_hold.SILENCE + 2.0)  # it has just been asked
+    started.look(now + 2.0 * robot_hold.SILENCE + 3.0)
     assert len(asked) == before
     publisher.put(scan(2))
-    started.look(now + 4.0 * hold_module.SILENCE)
+    started.look(now + 4.0 * robot_hold.SILENCE)
     eventually(lambda: recorder.seqs() == [0, 1, 2])
 
 
@@ -386,13 +391,13 @@ def test_what_waits_in_the_queue_is_only_so_much_of_a_backlog(hold, recorder, ca
 def test_what_is_held_is_bounded_and_what_goes_comes_out_of_the_cache(
     hold, recorder, cache, eventually, monkeypatch
 ):
-    monkeypatch.setattr(hold_module, "MAX_BYTES", 40_000)
+    monkeypatch.setattr(robot_hold, "MAX_BYTES", 40_000)
     publisher = cache()
     for seq in range(300):
         publisher.put(scan(seq))
     recorder.room = False
     take(hold, scan(0), *(scan(seq) for seq in range(100, 300)))
-    assert hold._held <= 10_000
+    assert hold._bytes.all <= 10_000
     recorder.room = True
     eventually(lambda: recorder.seqs() == list(range(300)))
     eventually(lambda: hold.held == 0)

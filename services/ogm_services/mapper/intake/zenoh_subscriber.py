@@ -12,10 +12,11 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.caches import Caches
-from ogm_services.mapper.intake.hold_and_ask import Decided, HoldAndAsk
+from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.mapper.intake.reception import Losses, Reception
+from ogm_services.mapper.intake.robot_hold import Decided
 from ogm_services.runtime.limited_log import LimitedLog
 
 REMEMBERED_KEYS = 1000

@@ -1,0 +1,323 @@
+"""Hold of one robot: what came of it while its caches are asked, and which of its messages were handed on."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from ogm_core.placing.rules import MAX_SENSORS
+from ogm_core.wire.heads import Head
+from ogm_core.wire.keys import Source
+from ogm_services.mapper.intake.backlog import Unanswered
+from ogm_services.mapper.intake.caches import Cached
+from ogm_services.mapper.intake.numbering import Numbering, Standing
+
+MAX_BYTES = 64 * 1024**2
+"""What may be held of all robots, and the quarter of it of one; past that the oldest is let go of."""
+SILENCE = 5.0
+"""A source that has a cache and is silent for so long is asked, s; then after twice the time, and so on."""
+MOST_SILENCE = 60.0
+_MESSAGE_BYTES = 400
+"""What a held message takes beside its payload, about."""
+_COUNTED = 10_000
+"""So many missing ones are looked at, whether they were decided; more are all missing."""
+
+
+class Decided(Protocol):
+    """What was decided of robots' messages, in this life of the mapper or an earlier one. Any thread."""
+
+    def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
+        """Whether a scan of that seq, or with None a pose, was integrated or dropped for good."""
+        ...
+
+    def last(self, robot: str, sensor: str | None, run: str) -> int | None:
+        """The highest seq up to which all are decided; None if none is."""
+        ...
+
+    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
+        """Note that messages, from a seq to another one, will never be taken: they are decided by that."""
+        ...
+
+
+class Intake(Protocol):
+    """Where messages go, and what is told of those that do not come. Any thread."""
+
+    def hand_on(self, source: Source, payload: bytes) -> None:
+        """Count a message, and put it into the queue."""
+        ...
+
+    def admits(self, robot: str) -> bool:
+        """Whether messages of that robot are taken: there may be too many."""
+        ...
+
+    def has_room(self, robot: str, robots: list[str], part: float) -> bool:
+        """Whether nothing waits of a robot, or what waits of these takes less than this part of the queue."""
+        ...
+
+    def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
+        """Count so many of these seqs that cannot be had any more."""
+        ...
+
+    def replayed(self, source: Source) -> None:
+        """Count a message that came again."""
+        ...
+
+
+class Held(NamedTuple):
+    """A message that waits until its robot's caches were asked, or a command in its place."""
+
+    source: Source
+    payload: bytes
+    head: Head | None
+    came: float
+    """When it came, s."""
+    command: Callable[[], object] | None = None
+
+
+class HeldBytes:
+    """Bytes that are held of all robots."""
+
+    def __init__(self) -> None:
+        self.all = 0
+        self._lock = threading.Lock()
+
+    def count(self, size: int) -> None:
+        """Count so many more, or less."""
+        with self._lock:
+            self.all += size
+
+
+@dataclass(slots=True, eq=False)
+class _Source:
+    numbering: Numbering
+    heard: float
+    """When it was heard last, s."""
+    caches: set[str] = field(default_factory=set)
+    """Those whose tokens are there."""
+    asked: float = 0.0
+    """When it was asked because it was silent, s."""
+    patience: float = SILENCE
+    """How long it may then be silent until it is asked again, s."""
+    none_of: str | None = None
+    """A run of which no cache keeps anything: what is missing of it is lost at once."""
+
+
+class RobotHold:
+    """The messages of one robot on their way to the queue.
+
+    While it is held, what comes is kept, and what its caches say goes before. One thread at a time hands on:
+    Zenoh's, under `lock`, while it is not held, else the one that asks.
+    """
+
+    def __init__(self, name: str, decided: Decided, intake: Intake, held_bytes: HeldBytes) -> None:
+        self.name = name
+        self.lock = threading.RLock()
+        self.at_work = False
+        """Whether it is being asked, or about to be."""
+        self.again = False
+        """Whether it is to be asked once more."""
+        self.answered: set[str | None] | None = None
+        """Sensors, None for poses, whose caches had something when asked last; None: not all answered."""
+        self._decided = decided
+        self._intake = intake
+        self._held: deque[Held] | None = None
+        """What came, in order of arrival; None while it is not held."""
+        self._all_bytes = held_bytes
+        self._bytes = 0
+        self._sources: dict[str | None, _Source] = {}
+
+    @property
+    def is_held(self) -> bool:
+        """Whether what comes is kept."""
+        return self._held is not None
+
+    @property
+    def heard(self) -> float:
+        """When it was heard last, s; 0 if it never was."""
+        return max((known.heard for known in list(self._sources.values())), default=0.0)
+
+    def hold(self) -> None:
+        """From now on keep what comes."""
+        with self.lock:
+            if self._held is None:
+                self._held = deque()
+
+    def source(self, sensor: str | None, now: float) -> _Source | None:
+        """What is known of a source; None if it is one sensor too many."""
+        known = self._sources.get(sensor)
+        if known is None:
+            with self.lock:
+                if sensor is None or sum(name is not None for name in self._sources) < MAX_SENSORS:
+                    numbering = Numbering(lambda run: self._decided.last(self.name, sensor, run))
+                    known = self._sources.setdefault(sensor, _Source(numbering, now))
+        return known
+
+    def take(self, item: Held) -> bool:
+        """Hand on a message that comes by itself, or hold it; whether the robot is to be asked for it."""
+        known = self.source(item.source.sensor, item.came)
+        if known is None:
+            self._intake.hand_on(item.source, item.payload)  # which refuses it
+            return False
+        with self.lock:
+            known.heard, known.patience = item.came, SILENCE
+            if self._held is None and self._handed_on(known, item):
+                return False
+            begins = self._held is None
+            self._keep(item)
+        return begins
+
+    def do_in_turn(self, item: Held) -> None:
+        """Do a command after what has come."""
+        assert item.command is not None
+        with self.lock:
+            if self._held is not None:
+                self._keep(item)
+                return
+        item.command()
+
+    def unread(self, sensor: str | None) -> None:
+        """Note a message whose number nobody has read."""
+        known = self._sources.get(sensor)
+        if known is not None:
+            known.numbering.unread += 1
+
+    def cache_changed(self, sensor: str | None, cache: str, here: bool, now: float) -> bool:
+        """Note that a cache is there, or gone; whether the robot is to be asked because of it."""
+        known = self.source(sensor, now)
+        if known is None:
+            return False
+        if not here:
+            known.caches.discard(cache)
+            return False
+        known.caches.add(cache)
+        known.none_of = None
+        return True
+
+    def too_silent(self, now: float) -> bool:
+        """Whether a source that has a cache is silent for so long that it is to be asked."""
+        silent = False
+        for known in list(self._sources.values()):
+            if known.caches and now - max(known.heard, known.asked) > known.patience:
+                known.asked, known.patience = now, min(2.0 * known.patience, MOST_SILENCE)
+                silent = True
+        return silent
+
+    def wanted(self, source: Source, run: str) -> int | None:
+        """The first seq of a run that was not handed on; None if nothing is known of the run."""
+        known = self._sources.get(source.sensor)
+        last = self._decided.last(*source, run) if known is None else known.numbering.last(run)
+        return None if last is None else last + 1
+
+    def take_cached(self, message: Cached, now: float, room: Callable[[], bool], *, follows: bool) -> bool:
+        """Hand on a message out of a cache, unless that was done; whether it was new.
+
+        `room` waits until there is some; False: it is not to be handed on. `follows`: the cache has nothing
+        of what is missing before it.
+
+        Raises:
+            Unanswered: something is missing before it that the cache may have.
+        """
+        source, known = message.source, self.source(message.source.sensor, now)
+        if known is None:
+            return False
+        if message.head is None:
+            known.numbering.unread += 1
+            return False
+        stamp, seq, run = message.head
+        if run == "":
+            return False  # nobody can tell whether it was handed on
+        standing = known.numbering.standing(run, seq)
+        if standing is Standing.GAP and not follows:
+            raise Unanswered
+        if standing is Standing.OLD:
+            self._intake.replayed(source)
+            return False
+        if self._decided.is_decided(*source, run, seq):
+            self._intake.replayed(source)
+        elif room():
+            self._intake.hand_on(source, message.payload)
+        else:
+            return False
+        self._give_up(source, run, known.numbering.take(run, seq, twin=stamp))
+        return True
+
+    def drain(self, until: float | None = None) -> bool:
+        """Hand on what is held, up to a gap, which ends it; what came up to `until` whatever is missing.
+
+        Whether it has met a gap. Without one the robot is held no longer, unless it is to be asked again.
+        """
+        while True:
+            with self.lock:
+                if not self._held:
+                    self._held = self._held if self.again else None
+                    return False
+                item = self._held[0]
+                if item.command is not None:
+                    item.command()
+                else:
+                    forced = until is not None and item.came <= until
+                    if not self._handed_on(self._sources[item.source.sensor], item, forced=forced):
+                        return True
+                self._held.popleft()
+                self._count(item, -1)
+
+    def forget(self) -> None:
+        """Let go of what is held."""
+        with self.lock:
+            while self._held:
+                self._count(self._held.popleft(), -1)
+
+    def _handed_on(self, known: _Source, item: Held, *, forced: bool = False) -> bool:
+        """Hand on a message that came by itself, unless others are missing before it; `forced`: even then."""
+        source, numbering = item.source, known.numbering
+        if item.head is None:
+            numbering.unread += 1
+            self._intake.hand_on(source, item.payload)
+            return True
+        stamp, seq, run = item.head
+        standing = numbering.standing(run, seq)
+        if standing is Standing.OLD:
+            if numbering.is_twin(run, seq, stamp):
+                self._intake.replayed(source)
+            else:
+                self._intake.hand_on(source, item.payload)
+            return True
+        if (standing is Standing.GAP or standing is Standing.BEGINNING) and known.none_of != run:
+            if not forced:
+                return False
+            if self.answered is not None and source.sensor not in self.answered and not known.caches:
+                known.none_of = run
+        self._give_up(source, run, numbering.take(run, seq))
+        self._intake.hand_on(source, item.payload)
+        return True
+
+    def _keep(self, item: Held) -> None:
+        """Hold a message; past what may be held, the oldest goes: it is missed when its turn comes."""
+        if self._held is None:
+            self._held = deque()
+        self._held.append(item)
+        self._count(item, 1)
+        while len(self._held) > 1 and (self._bytes > MAX_BYTES / 4 or self._all_bytes.all > MAX_BYTES):
+            gone = self._held.popleft()
+            self._count(gone, -1)
+            if gone.command is not None:
+                gone.command()
+            elif gone.head is None or not gone.head[2]:
+                self._intake.lost(gone.source, 1, "", range(0))  # nobody would miss it
+
+    def _count(self, item: Held, sign: int) -> None:
+        size = sign * (len(item.payload) + _MESSAGE_BYTES)
+        self._bytes += size
+        self._all_bytes.count(size)
+
+    def _give_up(self, source: Source, run: str, seqs: range) -> None:
+        """Count what is missing for good, but for what was decided in an earlier life."""
+        if not seqs:
+            return
+        count = len(seqs)
+        if count <= _COUNTED:
+            count -= sum(self._decided.is_decided(*source, run, seq) for seq in seqs)
+        if count:
+            self._intake.lost(source, count, run, seqs)
+            self._decided.skip(*source, run, seqs[0], seqs[-1])
