@@ -67,7 +67,7 @@ bench: $(VENV)/.run
 bench-quick: $(VENV)/.run
 	$(PYTHON_WITH_KERNELS) -m benchmarks --quick $(ARGS)
 
-# The long versions of what the tests hold, and the tables of docs/guarantees.md: 40 minutes, nothing else running.
+# The long versions of what the tests hold, and the tables of docs/guarantees.md: an hour, nothing else running.
 soak: $(VENV)/.soak
 	$(PYTHON_WITH_KERNELS) -m tests.soak $(ARGS)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from noting_mapper import Noted
+from tests.noting_mapper import Noted
 from tests.soak.missed import (
     Outcome,
     mapper_frozen,

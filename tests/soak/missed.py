@@ -8,9 +8,9 @@ import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from noting_mapper import MAP_NAME, NotingMapper, Process
 from ogm_client import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
+from tests.noting_mapper import MAP_NAME, NotingMapper, Process
 
 SETTLED = 60.0
 """How long a mapper may take until it has taken everything, s."""

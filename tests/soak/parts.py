@@ -3,13 +3,17 @@
 import re
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
+from itertools import count
+from pathlib import Path
 
 from benchmarks.running import ROOT
 from docs.variants import markdown
 from tests.soak.http_schema import requests_made_up
+from tests.soak.missed import mapper_frozen, mapper_killed, robots_stopped, router_killed
 from tests.soak.overload import HONEST, HONEST_RATE, Report, overloaded
 
 FULL = 600.0
@@ -80,6 +84,37 @@ def overload(seconds: float) -> Part:
     return Part(tables, report.failures())
 
 
+def missed(seconds: float) -> Part:
+    """Mappers that are killed and frozen, routers that are killed, robots that stop: 260 kills in all."""
+    kills = max(1, round(20 * seconds / FULL))
+    with tempfile.TemporaryDirectory() as place:
+        folders = (Path(tempfile.mkdtemp(dir=place)) for _ in count())
+        found = {
+            f"a mapper killed {10 * kills} times, a robot at 40 Hz": mapper_killed(
+                next(folders), 10 * kills, robots=1, rate=40.0
+            ),
+            f"a mapper killed {kills} times, 100 robots at 2 Hz": mapper_killed(
+                next(folders), kills, robots=100, rate=2.0
+            ),
+            f"a mapper killed {kills} times, 100 robots at 10 Hz": mapper_killed(
+                next(folders), kills, robots=100, rate=10.0
+            ),
+            "a mapper frozen for 10 s, 4 robots at 40 Hz": mapper_frozen(
+                next(folders), 10.0, robots=4, rate=40.0
+            ),
+            f"a router killed {kills} times, 4 robots at 40 Hz": router_killed(
+                next(folders), kills, robots=4, rate=40.0
+            ),
+            "robots at 40 Hz that stop while the mapper is away": robots_stopped(
+                next(folders), robots=4, rate=40.0
+            ),
+        }
+    rows = [["what happened", "sent", "taken", "missing", "twice", "out of order", "lost", "came again"]]
+    rows += [[what, *(f"{number:,}" for number in astuple(outcome))] for what, outcome in found.items()]
+    wrong = [f"{what}: {outcome}" for what, outcome in found.items() if not outcome.right]
+    return Part({"missed": markdown(rows)}, wrong)
+
+
 def _load(report: Report) -> str:
     received = report.status["scans"]["received"] / report.seconds
     share = min(report.integrated[robot] / max(1, report.sent[robot]) for robot in HONEST)
@@ -121,4 +156,5 @@ PARTS: dict[str, Callable[[float], Part]] = {
     "http": http,
     "stores": stores,
     "overload": overload,
+    "missed": missed,
 }

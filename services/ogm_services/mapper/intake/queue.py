@@ -89,13 +89,16 @@ class ScanQueue:
         max_scans: int,
         cells_of: Callable[[Source, bytes], float] | None = None,
         max_bytes: int = MAX_BYTES,
+        dropping: Callable[[Source, bytes], None] = lambda *_: None,
     ) -> None:
+        """`dropping` is told, under the lock, of every scan that has to go: its source and payload."""
         self.max_bytes = max_bytes
         """Payload that may wait: a fifth of it is room for poses, the rest for scans."""
         self._max_pose_bytes = max_bytes // 5
         self._max_scan_bytes = max_bytes - self._max_pose_bytes
         self.max_scans = max_scans
         """Scans that may wait."""
+        self._dropping = dropping
         self._cells_of = cells_of or (lambda *_: 1.0)
         self._unseen: deque[Message] = deque()
         """Waiting scans whose size nobody has looked at, and maybe dropped ones; oldest first."""
@@ -330,7 +333,8 @@ class ScanQueue:
             robot = self._robots[loser]
             item = robot.scans.popleft()
             self._count_scan(robot, item, -1)
-            item.dropped, item.payload = True, b""
             assert item.source is not None
+            self._dropping(item.source, item.payload)
+            item.dropped, item.payload = True, b""
             gone.append(item.source)
         return gone

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from ogm_core.placing.rules import MAX_SENSORS
-from ogm_core.wire.heads import Head
+from ogm_core.wire.heads import Head, read_head
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
@@ -38,6 +38,17 @@ class Decided(Protocol):
     def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
         """Note that messages, from a seq to another one, will never be taken: they are decided by that."""
         ...
+
+
+def skipping(decided: Decided) -> Callable[[Source, bytes], None]:
+    """What notes of a message, by its source and payload, that it will never be taken, if it has a number."""
+
+    def skip(source: Source, payload: bytes) -> None:
+        head = read_head(payload)
+        if head is not None and head[2]:
+            decided.skip(*source, head[2], head[1], head[1])
+
+    return skip
 
 
 class Intake(Protocol):

@@ -11,6 +11,7 @@ from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import decode_pose, decode_scan
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
@@ -35,13 +36,16 @@ class Worker:
         max_beams: int,
         sensors: SensorRules | None = None,
         overload: Overload | None = None,
+        malformed: Callable[[Source, bytes], None] = lambda *_: None,
     ) -> None:
+        """`malformed` is told of every message that cannot be read: its source and payload."""
         self._queue = queue
         self._placer = placer
         self._receipts = receipts
         self._max_beams = max_beams
         self._overload = overload or Overload(queue, receipts)
         self._sensors = sensors or SensorRules()
+        self._malformed = malformed
         self._complaints = LimitedLog(log)
         self._bugs = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name="ogm-worker")
@@ -135,6 +139,7 @@ class Worker:
             message = decode_pose(item.payload)
         except BadMessage as error:
             self._receipts.pose_noted("malformed")
+            self._malformed(Source(robot, None), item.payload)
             self._complaints.warning(f"{robot}/pose", str(error))
         else:
             self._placer.add_pose(robot, message, item.arrival)
@@ -147,6 +152,7 @@ class Worker:
             )
         except BadMessage as error:
             self._receipts.scan_dropped(robot, sensor, "malformed")
+            self._malformed(Source(robot, sensor), item.payload)
             self._complaints.warning(f"{robot}/{sensor}", str(error))
         except Exception:
             self._receipts.scan_dropped(robot, sensor, "failed")

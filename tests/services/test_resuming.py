@@ -1,0 +1,216 @@
+"""Resuming through the subscriber and the queue: what was decided stays so, and a backlog leaves room."""
+
+import threading
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from ogm_client import RobotPublisher
+from ogm_core.placing.receipts import Receipts
+from ogm_core.types import Scan
+from ogm_core.wire.heads import read_head
+from ogm_core.wire.keys import MapKeys, Source
+from ogm_core.wire.messages import encode_scan
+from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, Message, ScanQueue
+from ogm_services.mapper.intake.robot_hold import skipping
+from ogm_services.mapper.intake.worker import Worker
+from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
+
+KEYS = MapKeys("hall")
+SWEEP = {"angle_min": 0.0, "angle_increment": 0.0001, "range_min": 0.1, "range_max": 30.0}
+
+
+class Decided:
+    """What was decided: seqs by (sensor or None, run)."""
+
+    def __init__(self, **up_to):
+        self.seqs = {(sensor, "a"): set(range(last + 1)) for sensor, last in up_to.items()}
+
+    def is_decided(self, robot, sensor, run, seq):
+        return seq in self.seqs.get((sensor, run), ())
+
+    def last(self, robot, sensor, run):
+        seqs = self.seqs.get((sensor, run))
+        return None if not seqs else next(k for k in range(len(seqs) + 1) if k not in seqs) - 1
+
+    def skip(self, robot, sensor, run, first, last):
+        self.seqs.setdefault((sensor, run), set()).update(range(first, last + 1))
+
+
+class Losses(Counter):
+    """What is lost and replayed, scans and poses."""
+
+    def scan_lost(self, robot, sensor, count):
+        self["scan lost"] += count
+
+    def pose_lost(self, robot, count):
+        self["pose lost"] += count
+
+    def scan_replayed(self, robot, sensor):
+        self["scan replayed"] += 1
+
+    def pose_replayed(self, robot):
+        self["pose replayed"] += 1
+
+
+class Placer:
+    """Takes robots' tokens, and nothing else."""
+
+    def robot_here(self, *_):
+        pass
+
+    robot_gone = robot_here
+
+
+@pytest.fixture
+def robot(listener, endpoint):
+    with RobotPublisher("r", address=endpoint, map_name="hall", run="a") as robot:
+        yield robot
+
+
+@pytest.fixture
+def losses():
+    return Losses()
+
+
+@pytest.fixture
+def subscribed(listener, losses):
+    """`subscribed(queue, decided)`: a subscriber that asks, and its receipts."""
+    open_ones = []
+
+    def make(queue, decided):
+        receipts = Receipts()
+        options = {"max_beams": 1000, "decided": decided, "losses": losses}
+        subscriber = ZenohSubscriber(listener, KEYS, queue, receipts, Placer(), **options)
+        open_ones.append(subscriber)
+        subscriber.declare()
+        return receipts
+
+    yield make
+    for subscriber in open_ones:
+        subscriber.close()
+
+
+def publish(robot, count):
+    for stamp in range(count):
+        robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)
+        robot.publish_scan([1.0] * 20, sensor="s", stamp=stamp, **SWEEP)
+
+
+def test_a_backlog_fills_no_more_than_its_part_of_the_queue(robot, subscribed, eventually):
+    """600 scans and as many poses for a queue of 100 scans, that are worked off slowly."""
+    publish(robot, 600)
+    queue, most, taken = ScanQueue(100), [0], []
+
+    def work():
+        while not queue.closed:
+            item = queue.take(0.1)
+            if item is not None and item.source is not None:
+                most[0] = max(most[0], queue.scans + 1)
+                taken.append((item.source.sensor, read_head(item.payload)[1]))
+                time.sleep(0.0005)
+
+    worker = threading.Thread(target=work)
+    worker.start()
+    receipts = subscribed(queue, Decided())
+    eventually(lambda: len(taken) == 1200)
+    queue.close()
+    worker.join()
+    assert taken == [(sensor, seq) for seq in range(600) for sensor in (None, "s")]
+    status = receipts.status()
+    assert (status.scans.received, status.scans.dropped["overload"]) == (600, 0)
+    assert 10 < most[0] <= 26
+
+
+def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, losses, eventually):
+    publish(robot, 50)
+    decided = Decided(s=29)
+    decided.seqs[None, "a"] = set(range(45))
+    decided.seqs["s", "a"] |= {35, 36}
+    queue = ScanQueue(100)
+    receipts = subscribed(queue, decided)
+    eventually(lambda: receipts.status().scans.received == 18 and receipts.status().poses.received == 5)
+    taken = [queue.take(0) for _ in range(23)]
+    seqs = [read_head(item.payload)[1] for item in taken if item.source is not None and item.is_scan]
+    status = receipts.status()
+    assert (status.scans.received, status.poses.received) == (18, 5)
+    assert losses["scan replayed"] >= 2
+    assert losses["scan lost"] == losses["pose lost"] == 0
+    assert seqs == [30, 31, 32, 33, 34, *range(37, 50)]
+
+
+def test_what_a_mapper_dropped_or_could_not_read_is_decided():
+    decided, receipts = Decided(), Receipts()
+    queue = ScanQueue(2, dropping=skipping(decided))
+    for seq in range(5):
+        queue.put(Message(Source("r", "s"), scan(seq), 0.0))
+    assert decided.seqs["s", "a"] == {0, 1, 2}
+    worker = Worker(queue, Placer(), receipts, max_beams=2, malformed=skipping(decided))
+    worker.start()
+    queue.put(Message(Source("r", None), b"bad", 0.0))
+    deadline = time.monotonic() + 30.0
+    while 4 not in decided.seqs["s", "a"] and time.monotonic() < deadline:
+        time.sleep(0.01)
+    worker.stop()
+    assert decided.seqs == {("s", "a"): {0, 1, 2, 3, 4}}
+
+
+def scan(seq):
+    return encode_scan(Scan(seq, 0.0, 0.1, 0.1, 30.0, np.ones(3, np.float32), seq=seq, run="a"))
+
+
+def put(queue, robot, count, sensor="s"):
+    for seq in range(count):
+        queue.put(Message(Source(robot, sensor), scan(seq), time.monotonic()))
+
+
+def test_a_queue_has_room_for_robots_that_take_less_than_a_part_of_it():
+    queue = ScanQueue(100)
+    assert queue.has_room("a", ["a", "b"], 0.25)
+    put(queue, "a", 24)
+    assert queue.has_room("a", ["a", "b"], 0.25)
+    assert queue.has_room("b", ["a", "b"], 0.25)
+    put(queue, "b", 1)
+    assert not queue.has_room("a", ["a", "b"], 0.25)
+    assert not queue.has_room("b", ["a", "b"], 0.25)
+    assert queue.has_room("c", ["a", "b", "c"], 0.25)  # nothing of it waits
+    assert queue.has_room("a", ["a"], 0.25)  # the other one is not resumed
+    queue.take(0)
+    assert queue.has_room("a", ["a", "b"], 0.25)
+
+
+def test_a_queue_has_room_by_the_work_that_scans_will_be():
+    queue = ScanQueue(1000, cells_of=lambda *_: 0.2e9)  # 0.4 s each, of 5 s
+    put(queue, "a", 3)
+    assert queue.has_room("a", ["a"], 0.25)
+    put(queue, "a", 1)
+    assert not queue.has_room("a", ["a"], 0.25)
+
+
+def test_a_queue_has_room_for_poses_likewise():
+    queue = ScanQueue(100)
+    put(queue, "a", MAX_POSES_OF_ROBOT // 4 - 1, sensor=None)
+    assert queue.has_room("a", ["a"], 0.25)
+    put(queue, "a", 1, sensor=None)
+    assert not queue.has_room("a", ["a"], 0.25)
+    for k in range(MAX_POSES // MAX_POSES_OF_ROBOT - 1):
+        put(queue, f"b{k}", MAX_POSES_OF_ROBOT // 4, sensor=None)
+    names = ["a", *(f"b{k}" for k in range(MAX_POSES // MAX_POSES_OF_ROBOT - 1))]
+    put(queue, "c", 1, sensor=None)
+    assert queue.has_room("c", ["c"], 0.25)
+    assert not queue.has_room("c", [*names, "c"], 0.25)
+
+
+def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscribed, losses, eventually):
+    queue = ScanQueue(100)
+    receipts = subscribed(queue, Decided())
+    robot.wait_for_mapper(30.0)
+    robot.publish_scan([1.0], sensor="s", stamp=0, **SWEEP)
+    robot.publish_scan([1.0] * 9000, sensor="s", stamp=1, **SWEEP)
+    robot.publish_scan([1.0], sensor="s", stamp=2, **SWEEP)
+    eventually(lambda: receipts.status().scans.received == 3)
+    assert receipts.status().scans.dropped["malformed"] == 1
+    assert losses["scan lost"] == 0
+    assert queue.scans == 2
