@@ -40,6 +40,28 @@ def read_head(payload: bytes) -> Head | None:
         return None
 
 
+def numbered_so(payload: bytes, number: bytes) -> bool:
+    """Whether a message of our publishers has this seq and run, as `number_of` writes them."""
+    return payload.startswith(number, 16) and payload.startswith(b"\xa5stamp\xcf", 1)
+
+
+def number_of(seq: int, run: str) -> bytes:
+    """A seq and a run as they stand in a message of our publishers."""
+    if seq < 0x80:
+        digits = bytes((seq,))
+    elif seq < 2**16:
+        digits = b"\xcd" + seq.to_bytes(2) if seq > 0xFF else b"\xcc" + bytes((seq,))
+    else:
+        digits = b"\xce" + seq.to_bytes(4) if seq < 2**32 else b"\xcf" + seq.to_bytes(8)
+    return b"\xa3seq" + digits + _run_field(run)
+
+
+@lru_cache(4096)
+def _run_field(run: str) -> bytes:
+    text = run.encode()
+    return b"\xa3run" + (bytes((0xA0 + len(text),)) if len(text) < 32 else bytes((0xD9, len(text)))) + text
+
+
 @lru_cache(4096)
 def _run_of(text: bytes) -> str | None:
     """A run's name; None if it is none."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ogm_core.errors import BadMessage
 from ogm_core.types import Pose, PoseStamped, Scan
-from ogm_core.wire.heads import read_head
+from ogm_core.wire.heads import number_of, numbered_so, read_head
 from ogm_core.wire.messages import decode_pose, decode_scan, encode_pose, encode_scan
 
 INTS = st.one_of(st.integers(0, 300), st.integers(0, 2**63 - 1), st.sampled_from([127, 128, 2**16, 2**32]))
@@ -68,3 +68,11 @@ def test_whatever_is_sent_is_a_head_or_none(start, rest):
 )
 def test_a_head_that_no_decoder_takes_is_none(fields):
     assert read_head(msgpack.packb({**fields, "x": 0.0, "y": 0.0, "theta": 0.0})) is None
+
+
+@given(st.integers(2**32, 2**63 - 1), INTS, INTS, RUNS, RUNS)
+def test_a_number_is_known_in_a_message_as_it_stands_there(stamp, seq, other, run, other_run):
+    payload = encode_pose(PoseStamped(stamp, Pose(1.0, 2.0, 3.0), seq, run))
+    assert numbered_so(payload, number_of(seq, run))
+    assert numbered_so(payload, number_of(other, run)) == (other == seq)
+    assert numbered_so(payload, number_of(seq, other_run)) == (other_run == run)

@@ -2,6 +2,8 @@
 
 import pytest
 
+from ogm_core.types import Pose, PoseStamped
+from ogm_core.wire.messages import encode_pose
 from ogm_services.mapper.intake.numbering import MAX_RUNS, Numbering, Standing
 
 NEXT, BEGINNING, GAP, OLD, STRAY = Standing
@@ -105,3 +107,30 @@ def test_the_run_that_was_heard_longest_ago_is_forgotten():
     source.take("other", 0)
     assert source.last("run1") is None
     assert source.last("run0") == 10
+
+
+def test_the_next_message_is_told_at_a_glance():
+    """Only after one that came by itself, of that run, and only the next one."""
+    source = numbering()
+    assert not source.take_next(pose(0))
+    taken(source, 0)
+    source.unread = 1
+    assert source.take_next(pose(1))
+    assert source.unread == 0
+    assert not source.take_next(pose(3))
+    assert not source.take_next(pose(2, run="b"))
+    assert not source.take_next(b"bad")
+    assert [source.take_next(pose(seq)) for seq in range(2, 70_000)] == [True] * 69_998
+    assert source.last("a") == 69_999
+    source.take("a", 70_000, twin=5)
+    assert not source.take_next(pose(70_001))  # it may be a twin
+    assert taken(source, 2_000_000, 70_001) == [[], []]
+    assert source.take_next(pose(70_002))
+    taken(source, 5_000_000)
+    assert not source.take_next(pose(70_003))  # five strays in a row would no longer be in a row
+    assert source.standing("b", 3) is BEGINNING
+    assert not source.take_next(pose(70_003))
+
+
+def pose(seq, run="a"):
+    return encode_pose(PoseStamped(2**60, Pose(0.0, 0.0, 0.0), seq, run))

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
+from ogm_core.wire.heads import number_of, numbered_so
+
 MAX_RUNS = 8
 """Runs of a source that are remembered, the one heard longest ago is forgotten."""
 MAX_STEP = 1_000_000
@@ -48,6 +50,8 @@ class Numbering:
         self._runs: dict[str, _Run] = {}
         """The one heard last at the end."""
         self._heard: str | None = None
+        self._expected = b""
+        """The number of the message that is next in the run heard last, as it stands in it; empty: any may be."""
         self.unread = 0
         """Messages since the last numbered one whose number nobody could read: some of the missing."""
 
@@ -64,6 +68,17 @@ class Numbering:
             return Standing.STRAY
         return Standing.NEXT if seq - last - 1 <= self.unread else Standing.GAP
 
+    def take_next(self, payload: bytes) -> bool:
+        """Note a message if it is the next one of the run heard last, as nearly all are: told at a glance."""
+        if not self._expected or not numbered_so(payload, self._expected):
+            return False
+        assert self._heard is not None
+        known = self._runs[self._heard]
+        assert known.last is not None
+        known.last += 1
+        self._expected, self.unread = number_of(known.last + 1, self._heard), 0
+        return True
+
     def take(self, run: str, seq: int, *, twin: int | None = None) -> range:
         """Note a message that is handed on; return the seqs before it that are given up by that.
 
@@ -72,7 +87,7 @@ class Numbering:
         if run == "":
             return range(0)
         known, unread = self._of(run), self.unread
-        last, self.unread = known.last, 0
+        last, self.unread, self._expected = known.last, 0, b""
         if twin is not None:
             known.twins[seq] = twin
             if len(known.twins) > MAX_TWINS:
@@ -84,6 +99,8 @@ class Numbering:
             return range(0)
         known.strays.clear()
         known.last = seq if last is None else max(last, seq)
+        if twin is None:
+            self._expected = number_of(known.last + 1, run)
         return range(0) if last is None or seq <= last + 1 + unread else range(last + 1, seq)
 
     def is_twin(self, run: str, seq: int, stamp: int) -> bool:
@@ -99,7 +116,7 @@ class Numbering:
         if run == self._heard:
             return self._runs[run]
         known = self._runs.pop(run, None) or _Run(self._decided_last(run))
-        self._runs[run], self._heard = known, run
+        self._runs[run], self._heard, self._expected = known, run, b""
         if len(self._runs) > MAX_RUNS:
             del self._runs[next(iter(self._runs))]
         return known

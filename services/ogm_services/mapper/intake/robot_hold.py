@@ -164,6 +164,18 @@ class RobotHold:
                     known = self._sources.setdefault(sensor, _Source(numbering, now))
         return known
 
+    def take_next(self, source: Source, payload: bytes, now: float) -> bool:
+        """Hand on a message that comes by itself, if a glance tells that nothing is missing before it."""
+        known = self._sources.get(source.sensor)
+        if known is None:
+            return False
+        with self.lock:
+            if self._held is not None or not known.numbering.take_next(payload):
+                return False
+            known.heard = now
+            self._intake.hand_on(source, payload)
+        return True
+
     def take(self, item: Held) -> bool:
         """Hand on a message that comes by itself, or hold it; whether the robot is to be asked for it."""
         known = self.source(item.source.sensor, item.came)
@@ -171,7 +183,7 @@ class RobotHold:
             self._intake.hand_on(item.source, item.payload)  # which refuses it
             return False
         with self.lock:
-            known.heard, known.patience = item.came, SILENCE
+            known.heard = item.came
             if self._held is None and self._handed_on(known, item):
                 return False
             begins = self._held is None
@@ -209,8 +221,9 @@ class RobotHold:
         """Whether a source that has a cache is silent for so long that it is to be asked."""
         silent = False
         for known in list(self._sources.values()):
-            if known.caches and now - max(known.heard, known.asked) > known.patience:
-                known.asked, known.patience = now, min(2.0 * known.patience, MOST_SILENCE)
+            patience = SILENCE if known.heard > known.asked else known.patience
+            if known.caches and now - max(known.heard, known.asked) > patience:
+                known.asked, known.patience = now, min(2.0 * patience, MOST_SILENCE)
                 silent = True
         return silent
 

@@ -32,9 +32,9 @@ class ZenohSubscriber:
 
     Zenoh's thread calls the callbacks, which count and enqueue, and decode a message's head at most: they
     would hold up the link. They do so where a pose has to wait for room: that slows down who sends too many.
-    What
-    is longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The robots'
-    liveliness tokens take the same way, so that the worker hears of a robot's end after what came before it.
+    What is longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The
+    robots' liveliness tokens take the same way, so that the worker hears of a robot's end after what came
+    before it.
     """
 
     def __init__(
