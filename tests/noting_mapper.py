@@ -45,7 +45,7 @@ class Noted:
 
 
 class Process:
-    """A process of this file that can be killed, frozen and started again: "listen", "connect", "route"."""
+    """A process of this file that can be killed, frozen, started again: listen, connect, route, robot."""
 
     def __init__(self, how, endpoint, *arguments):
         self._command = [sys.executable, __file__, how, endpoint, *map(str, arguments)]
@@ -156,6 +156,25 @@ def route(endpoint):
             time.sleep(60.0)
 
 
+def be_a_robot(endpoint):
+    """Publish poses and scans at 40 Hz until SIGUSR1; then say how many, and stay until the end."""
+    from ogm_client import RobotPublisher
+
+    stopping = threading.Event()
+    signal.signal(signal.SIGUSR1, lambda *_: stopping.set())
+    sweep = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 30.0}
+    with RobotPublisher("robot0", address=endpoint, map_name=MAP_NAME) as robot:
+        print("ready", flush=True)
+        sent = 0
+        while not stopping.wait(1.0 / 40.0):
+            robot.publish_pose(0.0, 0.0, 0.0, stamp=sent)
+            robot.publish_scan([1.0] * 20, sensor="laser", stamp=sent, **sweep)
+            sent += 1
+        print(sent, flush=True)
+        while True:
+            time.sleep(60.0)
+
+
 def note(how, endpoint, path):
     """Note what comes, until the end."""
     from ogm_client.session import NetworkConfig, open_session
@@ -195,5 +214,7 @@ def note(how, endpoint, path):
 if __name__ == "__main__":
     if sys.argv[1] == "route":
         route(sys.argv[2])
+    elif sys.argv[1] == "robot":
+        be_a_robot(sys.argv[2])
     else:
         note(*sys.argv[1:])

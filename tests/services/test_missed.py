@@ -8,6 +8,7 @@ from tests.soak.missed import (
     mapper_frozen,
     mapper_killed,
     outcome,
+    robot_frozen,
     robots_stopped,
     router_killed,
 )
@@ -29,6 +30,12 @@ def test_a_mapper_that_is_frozen_misses_nothing(tmp_path):
     found = mapper_frozen(tmp_path, 4.0, robots=4, rate=40.0)
     assert found.right, found
     assert found.sent > 1000
+
+
+def test_a_robot_that_is_frozen_loses_nothing(tmp_path):
+    found = robot_frozen(tmp_path, 4.0)
+    assert found.right, found
+    assert found.sent > 100
 
 
 def test_a_router_that_is_killed_and_started_again_loses_nothing(tmp_path):

@@ -109,8 +109,13 @@ def outcome(noted, sent):
 def settled(mapper, robots):
     """Stop the robots, wait until the mapper has all, and compare."""
     robots.stop()
+    return all_taken(mapper, robots.sent)
+
+
+def all_taken(mapper, sent):
+    """Wait until the mapper has all, and compare."""
     deadline = time.monotonic() + SETTLED
-    while (found := outcome(mapper.noted, robots.sent)).taken < found.sent and time.monotonic() < deadline:
+    while (found := outcome(mapper.noted, sent)).taken < found.sent and time.monotonic() < deadline:
         time.sleep(0.2)
     return found
 
@@ -147,6 +152,17 @@ def mapper_frozen(folder, seconds, *, robots, rate):
         mapper.signal(signal.SIGCONT)
         time.sleep(1.0)
         return settled(mapper, publishing)
+
+
+def robot_frozen(folder, seconds):
+    """Freeze a robot for so long; its links are closed meanwhile."""
+    endpoint = resolve_listen("tcp/127.0.0.1:0")
+    with NotingMapper(endpoint, folder / "notes") as mapper, Process("robot", endpoint) as robot:
+        for number in (signal.SIGSTOP, signal.SIGCONT, signal.SIGUSR1):
+            time.sleep(seconds if number == signal.SIGCONT else 1.5)
+            robot.signal(number)
+        sent = {"robot0": int(robot.process.stdout.readline())}
+        return all_taken(mapper, sent)
 
 
 def router_killed(folder, kills, *, robots, rate):

@@ -13,7 +13,13 @@ from pathlib import Path
 from benchmarks.running import ROOT
 from docs.variants import markdown
 from tests.soak.http_schema import requests_made_up
-from tests.soak.missed import mapper_frozen, mapper_killed, robots_stopped, router_killed
+from tests.soak.missed import (
+    mapper_frozen,
+    mapper_killed,
+    robot_frozen,
+    robots_stopped,
+    router_killed,
+)
 from tests.soak.overload import HONEST, HONEST_RATE, Report, overloaded
 
 FULL = 600.0
@@ -102,6 +108,7 @@ def missed(seconds: float) -> Part:
             "a mapper frozen for 10 s, 4 robots at 40 Hz": mapper_frozen(
                 next(folders), 10.0, robots=4, rate=40.0
             ),
+            "a robot at 40 Hz frozen for 10 s": robot_frozen(next(folders), 10.0),
             f"a router killed {kills} times, 4 robots at 40 Hz": router_killed(
                 next(folders), kills, robots=4, rate=40.0
             ),

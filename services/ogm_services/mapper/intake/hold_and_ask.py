@@ -89,9 +89,10 @@ class HoldAndAsk:
         robot = self._robots.get(source.robot) or self._admitted(source.robot)
         if robot is None:
             self._intake.hand_on(source, payload)  # which refuses it
-        elif not robot.take_next(source, payload, now):
-            if robot.take(Held(source, payload, read_head(payload), now)):
-                self._ask(robot)
+        elif not robot.take_next(source, payload, now) and robot.take(
+            Held(source, payload, read_head(payload), now)
+        ):
+            self._ask(robot)
 
     def do_in_turn(self, robot: str, command: Callable[[], object]) -> None:
         """Do something after what came of a robot before."""

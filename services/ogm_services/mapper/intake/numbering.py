@@ -51,7 +51,7 @@ class Numbering:
         """The one heard last at the end."""
         self._heard: str | None = None
         self._expected = b""
-        """The number of the message that is next in the run heard last, as it stands in it; empty: any may be."""
+        """The number that comes next in the run heard last, as it stands in a message; empty: any may."""
         self.unread = 0
         """Messages since the last numbered one whose number nobody could read: some of the missing."""
 
