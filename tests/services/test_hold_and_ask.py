@@ -294,6 +294,41 @@ def test_what_a_cache_keeps_no_more_is_lost_and_the_rest_is_taken(hold, recorder
     assert recorder.gone == [("s", "a", 59, list(range(1, 60)))]
 
 
+def test_what_a_cache_keeps_no_more_is_lost_also_if_nothing_comes_by_itself(
+    hold, recorder, cache, asked, eventually
+):
+    """A robot that is silent since the mapper is back: nothing that is held shows the gap."""
+    recorder.up_to["s", "a"] = 4
+    publisher = cache(samples=40)
+    for seq in range(100):
+        publisher.put(scan(seq))
+    hold.start()
+    eventually(lambda: len(recorder.handed_on) == 40)
+    assert recorder.seqs() == list(range(60, 100))
+    assert recorder.gone == [("s", "a", 55, list(range(5, 60)))]
+    assert asked.count("_max=16") == 1  # that nothing older is kept is certain: no more questions are needed
+
+
+def test_a_cache_that_answers_at_the_third_question_loses_nothing_though_nothing_comes_by_itself(
+    hold, recorder, cache, eventually, monkeypatch
+):
+    publisher, ask, failing = cache(), Caches.ask, [2]
+    for seq in range(5):
+        publisher.put(scan(seq))
+
+    def failing_twice(self, robot, keys, parameters, account):
+        if failing[0]:
+            failing[0] -= 1
+            return caches_module.Answer(whole=False)
+        return ask(self, robot, keys, parameters, account)
+
+    monkeypatch.setattr(Caches, "ask", failing_twice)
+    hold.start()
+    eventually(lambda: len(recorder.handed_on) == 5)
+    assert recorder.seqs() == [0, 1, 2, 3, 4]
+    assert recorder.gone == []
+
+
 def test_seqs_that_a_publisher_left_out_are_lost_at_once(hold, recorder, cache, asked, eventually):
     publisher = cache()
     for seq in range(0, 12, 3):

@@ -32,6 +32,8 @@ class _Feed:
     wanted: int
     """The number of the first message that is to be handed on."""
     part: int
+    start: int = 0
+    """The same, before anything was asked for."""
     buffer: deque[Cached] = field(default_factory=deque)
     number: int | None = None
     """That of the last message that was taken off."""
@@ -85,8 +87,11 @@ class Backlog:
             message, before = feed.buffer.popleft(), feed.number
             feed.number = message.number
             self._release(message)
-            first = 0 if message.cache else message.number
-            yield message, message.number == (first if before is None else before + 1)
+            if before is None:
+                follows = not message.cache or self._is_oldest(feed, message.number)
+            else:
+                follows = not message.cache or message.number == before + 1
+            yield message, follows
 
     def _feed(self, source: Source, cache: str, newest: list[Cached], wanted: Wanted) -> _Feed:
         size = max(len(message.payload) for message in newest)
@@ -103,6 +108,7 @@ class Backlog:
         if head is not None and seq is not None:
             # Seqs rise by one or more with each message: no wanted one lies before this number.
             feed.wanted = max(0, last - (head[1] - seq))
+        feed.start = feed.wanted
         if feed.wanted < first:
             feed.wanted = max(feed.wanted, self._oldest(feed, first))
         while feed.newest and feed.newest[0].number < feed.wanted:
@@ -120,6 +126,16 @@ class Backlog:
             self._release(newest[0])
             back *= 2
         return feed.wanted
+
+    def _is_oldest(self, feed: _Feed, number: int) -> bool:
+        """Whether the cache, which has just answered, keeps nothing before the first that is wanted."""
+        if number <= feed.start:
+            return number == 0
+        key = self._caches.key_of(feed.source, feed.cache)
+        older = self._ask([key], f"_sn=..{number - 1};_max=1")
+        for message in older:
+            self._release(message)
+        return not older
 
     def _fill(self, feed: _Feed) -> bool:
         """Ask for the next part; False if there is none."""

@@ -180,10 +180,13 @@ class HoldAndAsk:
         fails = 0
         while not self._stopping.is_set():
             robot.again, began = False, time.monotonic()
-            progress = self._hand_on_backlog(robot, final=fails == ASKS - 1)
+            progress, whole = self._hand_on_backlog(robot, final=fails == ASKS - 1)
             if self._stopping.is_set():
                 return
-            if robot.drain() and not progress:
+            if not whole and (progress or fails < ASKS - 1):
+                robot.again = True  # it stays held, whether or not anything has come that is
+            gap = robot.drain()
+            if (gap or not whole) and not progress:
                 fails += 1
                 if fails < ASKS:
                     self._stopping.wait(PAUSES[fails - 1])
@@ -193,9 +196,12 @@ class HoldAndAsk:
             if not robot.is_held:
                 return
 
-    def _hand_on_backlog(self, robot: RobotHold, *, final: bool) -> bool:
-        """Hand on what the robot's caches keep; whether anything was new. `final`: it is asked no more."""
-        progress, robot.answered = False, None
+    def _hand_on_backlog(self, robot: RobotHold, *, final: bool) -> tuple[bool, bool]:
+        """Hand on what the robot's caches keep; whether anything was new, and whether it is all of it.
+
+        `final`: it is asked no more.
+        """
+        progress, whole, robot.answered = False, True, None
         self._working[robot.name] = None
         try:
             with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
@@ -204,13 +210,13 @@ class HoldAndAsk:
                         message, time.monotonic(), lambda: self._room(robot), follows=follows or final
                     )
                     if self._stopping.is_set():
-                        return progress
+                        return progress, False
                 robot.answered = {source.sensor for source in backlog.sources}
         except Unanswered:
-            pass
+            whole = False
         finally:
             del self._working[robot.name]
-        return progress
+        return progress, whole
 
     def _room(self, robot: RobotHold) -> bool:
         """Wait until the queue has room for a message out of a cache; False: there will be none."""
