@@ -1,6 +1,6 @@
 """`python -m tests.soak`: the long versions of what the tests hold, and the tables of docs/guarantees.md.
 
-Five parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (requests
+Six parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (requests
 made up from the description of the routes), `stores` (stored maps that are damaged), `overload` and `missed`
 (mappers and routers that are killed). Tables are kept of what ran at full length: ten minutes, 10,000
 examples, and 300 damaged stores.
