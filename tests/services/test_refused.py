@@ -61,7 +61,7 @@ def test_a_placer_that_is_handed_more_refuses_them_itself():
         desk.placer.add_scan(f"r{k}", "s", scan)
     for k in range(17):
         desk.placer.add_scan("r0", f"s{k}", scan)
-    assert (len(desk.placer._robots), len(desk.placer._robots["r0"].sources)) == (1000, 16)
+    assert (len(desk.placer._robots.items()), len(desk.placer._robots["r0"].sources)) == (1000, 16)
     assert desk.dropped == {"refused": 3}
     assert desk.receipts.status().poses.refused == 1
     assert told_of(desk, "robots") == [
@@ -87,7 +87,7 @@ def test_who_is_gone_for_an_hour_is_forgotten_and_makes_room(monkeypatch):
     assert (*desk.receipts.status().robots,) == ("gone", "alive", "heard")
     desk.scan(0, robot="new", pose=IDENTITY)
     desk.placer.expire(HOUR + 0.1)
-    assert (*desk.receipts.status().robots,) == ("alive", "heard") == (*desk.placer._robots,)
+    assert (*desk.receipts.status().robots,) == ("alive", "heard") == (*dict(desk.placer._robots.items()),)
     desk.now = HOUR + 0.2
     desk.scan(0, robot="new", pose=IDENTITY)
     status = desk.receipts.status()
@@ -99,7 +99,7 @@ def test_who_is_gone_for_an_hour_is_forgotten_and_makes_room(monkeypatch):
     desk.placer.expire(2 * HOUR)
     assert (*desk.receipts.status().robots,) == ("alive", "new")
     desk.placer.expire(2 * HOUR + 0.3)
-    assert (*desk.receipts.status().robots,) == () == (*desk.placer._robots,)
+    assert (*desk.receipts.status().robots,) == () == (*dict(desk.placer._robots.items()),)
     assert desk.receipts.status().scans == status.scans
 
 
@@ -109,13 +109,13 @@ def test_tokens_that_came_and_went_without_a_message_keep_nobody_out(monkeypatch
     for robot in ("t1", "t2", "t3"):
         desk.placer.robot_here(robot, "a", 1.0)
     desk.placer.expire(HOUR)
-    assert (*desk.placer._robots,) == ("t1", "t2", "t3"), "they are alive"
+    assert (*dict(desk.placer._robots.items()),) == ("t1", "t2", "t3"), "they are alive"
     desk.now = HOUR
     desk.pose(0, robot="t3", run="a")
     for robot in ("t1", "t2", "t3"):
         desk.placer.robot_gone(robot, "a", HOUR)
     desk.placer.expire(HOUR + 0.1)
-    assert (*desk.receipts.status().robots,) == ("t3",) == (*desk.placer._robots,)
+    assert (*desk.receipts.status().robots,) == ("t3",) == (*dict(desk.placer._robots.items()),)
     desk.pose(0, robot="new")
     assert (*desk.receipts.status().robots,) == ("t3", "new")
 
