@@ -61,7 +61,7 @@ def test_a_placer_that_is_handed_more_refuses_them_itself():
         desk.placer.add_scan(f"r{k}", "s", scan)
     for k in range(17):
         desk.placer.add_scan("r0", f"s{k}", scan)
-    assert (len(desk.placer._robots.items()), len(desk.placer._robots["r0"].sources)) == (1000, 16)
+    assert (len(desk.placer._robots.items()), len(desk.placer._robots.get("r0").sources)) == (1000, 16)
     assert desk.dropped == {"refused": 3}
     assert desk.receipts.status().poses.refused == 1
     assert told_of(desk, "robots") == [
