@@ -54,6 +54,11 @@ def test_kernels_go_to_the_one_folder_that_may_be_written(service, environ):
     assert "MemoryDenyWriteExecute" not in service
 
 
+def test_the_map_is_stored_in_the_folder_that_systemd_keeps(service, environ):
+    (state,) = service["StateDirectory"]
+    assert environ["OGM_MAPPER__DATA"] == f"%S/{state}"
+
+
 def test_it_starts_again_after_a_failure_but_not_with_bad_settings(service):
     assert service["Restart"] == ["on-failure"]
     assert service["RestartPreventExitStatus"] == [str(BAD_INPUT)]

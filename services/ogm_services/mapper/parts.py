@@ -31,8 +31,14 @@ from ogm_services.mapper.live.timed_sink import TimedSink
 from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
-from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
+from ogm_services.mapper.serving.load_metrics import (
+    memory_metrics,
+    queue_metrics,
+    ready_metric,
+    store_metrics,
+)
 from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.mapper.storage.kept_map import KeptMap
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.runtime.memory import MemoryUse
@@ -44,7 +50,7 @@ log = logging.getLogger(__name__)
 class Parts:
     """Made in the order of the methods below; each attribute says which thread it belongs to.
 
-    No thread runs yet, and nothing is open: the service starts them, and closes them in the opposite order.
+    No thread runs yet but the store's: the service starts them, and closes them in the opposite order.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -57,16 +63,32 @@ class Parts:
         self.limits = Limits.of(settings.mapper, self.memory)
         self.receipts = Receipts()
         """What became of every message; any thread."""
-        self._make_map(settings)
-        self._make_intake(settings)
-        self._make_watch()
-        self._make_answers(settings)
+        data = settings.mapper.data
+        self.kept_map = None if data is None else KeptMap(data)
+        """The map on disk; a thread."""
+        try:
+            self._make_map(settings)
+            self._make_intake(settings)
+            self._make_watch()
+            self._make_answers(settings)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close what is open before the service starts."""
+        if self.kept_map is not None:
+            self.kept_map.close()
 
     def _make_map(self, settings: Settings) -> None:
         """The map, as it is when the mapper starts."""
         self.run = uuid.uuid4().hex
         """Of this process: its liveliness token has it, and every map."""
-        grid = started_grid(settings, uuid.uuid4().hex, self.run)
+        grid = None
+        if self.kept_map is not None:
+            grid = self.kept_map.restored(settings.grid_settings(), self.run, settings.mapper.start_map)
+        if grid is None:
+            grid = started_grid(settings, uuid.uuid4().hex, self.run)
         self.grid_settings: GridSettings = grid.settings
         self.live_map = LiveMap(grid, self.memory)
         """The worker writes it, any thread reads it."""
@@ -81,6 +103,7 @@ class Parts:
             partial(queue_metrics, queue),
             partial(memory_metrics, self.memory),
             lambda: ready_metric(self.health),
+            lambda: () if self.kept_map is None else store_metrics(self.kept_map),
         )
         """Any thread."""
         measured = self.metrics.measurements
@@ -99,11 +122,16 @@ class Parts:
         self.memory.add("robots", lambda: placer.robots_bytes, limits.robots_bytes)
         self.overload = Overload(queue, self.receipts)
         """Any thread."""
+        self.checkpoints = None
+        """Where the worker and the store's thread meet."""
+        if self.kept_map is not None:
+            self.checkpoints = self.kept_map.checkpoints(self.live_map, grid_settings, self.run, placer)
         self.worker = Worker(
             *(queue, placer, self.receipts),
             max_beams=limits.beams,
             overload=self.overload,
             sensors=SensorRules(settings.sensor_rules()),  # of its own: the sizes are another thread's
+            between=(lambda: None) if self.checkpoints is None else self.checkpoints.offer,
         )
         """A thread, which alone writes the map."""
 
@@ -118,6 +146,7 @@ class Parts:
             lambda: None if self.ready.is_set() else "the mapper is still starting",
             lambda: "the mapper is stopping" if self.stopping.is_set() else None,
             falling_behind.reason,
+            lambda: None if self.kept_map is None else self.kept_map.failing,
         ]
         """Each tells why the mapper should get no scans now, or None; the service adds other mappers'."""
         self.health = Health(

@@ -160,8 +160,8 @@ class MapperService:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self.parts = parts = Parts(settings)
         self._token = settings.http.write_token()
+        self.parts = parts = Parts(settings)
         self.live_map, self.answers, self.memory = parts.live_map, parts.answers, parts.memory
         self._started = time.monotonic()
         self._open = ExitStack()
@@ -232,6 +232,7 @@ class MapperService:
 
     def _start(self, opening: ExitStack) -> None:
         """Open the network and start the threads; `opening` ends them in the opposite order."""
+        opening.callback(self.parts.close)
         network = self._settings.network
         listener = opening.enter_context(bound_socket(self._settings.http.host, self._settings.http.port))
         wanted = network.for_mapper()
@@ -259,8 +260,14 @@ class MapperService:
         _warm_up(self.parts.grid_settings)
         others.serve()
         # From here on the map changes: what is to outlive the worker, and see its last change, opens before.
+        kept, checkpoints = self.parts.kept_map, self.parts.checkpoints
+        if kept is not None and checkpoints is not None:
+            opening.callback(kept.close)
+            opening.callback(checkpoints.worker_stopped)
         self.parts.worker.start()
         opening.callback(self.parts.worker.stop)
+        if kept is not None and checkpoints is not None:
+            kept.keep(checkpoints)
         subscriber.declare()
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)

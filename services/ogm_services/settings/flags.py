@@ -197,6 +197,10 @@ class MapperFlags(_SettingFlags):
 
     section = "mapper"
 
+    data: Annotated[
+        str | None,
+        _setting("mapper", "data", "DIR", "Store the map in this folder, and go on with the one in it"),
+    ] = None
     start_map: Annotated[
         str | None,
         _setting("mapper", "start_map", "FILE", "Start with this ROS map (YAML) or map.npz, on its lattice"),

@@ -193,9 +193,9 @@ class MapperSettings(_Section):
     and readers make it hold, `max_beams` and
     `max_scan_cells` of one scan, `queue` in scans.
     `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
-    `PlacingRules`. `start_map` is the YAML file of a ROS map, or a map.npz; a relative path starts at the
-    working folder; `start_confidence` the probability that a ROS map's occupied cells are occupied, and its
-    free ones free.
+    `PlacingRules`. `data` is the folder that the map is stored in, made if need be; `start_map` the YAML file
+    of a ROS map, or a map.npz; a relative path starts at the working folder; `start_confidence` the
+    probability that a ROS map's occupied cells are occupied, and its free ones free.
     """
 
     max_cells: Count = DEFAULT_MAX_CELLS
@@ -208,6 +208,7 @@ class MapperSettings(_Section):
     max_speed: PositiveOrInfinite = DEFAULT_RULES.max_speed
     max_turn_rate: PositiveOrInfinite = DEFAULT_RULES.max_turn_rate
     queue: Count = 4096
+    data: Annotated[Path | None, NONE] = None
     start_map: Annotated[FilePath | None, NONE] = None
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
 

@@ -36,9 +36,14 @@ class Worker:
         max_beams: int,
         sensors: SensorRules | None = None,
         overload: Overload | None = None,
+        between: Callable[[], None] = lambda: None,
         malformed: Callable[[Source, bytes], None] = lambda *_: None,
     ) -> None:
-        """`malformed` is told of every message that cannot be read: its source and payload."""
+        """`malformed` is told of every message that cannot be read: its source and payload.
+
+        `between` is called after every message and every look, and raises nothing.
+        """
+        self._between = between
         self._queue = queue
         self._placer = placer
         self._receipts = receipts
@@ -102,6 +107,7 @@ class Worker:
                 self._survive("a look for silent robots", partial(self._placer.expire, now))
             if item is not None:
                 self._handle(item)
+            self._between()
 
     def _handle(self, item: Message) -> None:
         """Work on a message; where others wait, tell the queue how long it took."""

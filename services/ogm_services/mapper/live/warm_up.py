@@ -5,6 +5,7 @@ import math
 import threading
 from contextlib import suppress
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_core.tiles.codec import encode_tile
 from ogm_core.types import Pose, Scan, Sweep
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.compilation import compiling_until
@@ -30,6 +33,8 @@ def warm_up(settings: GridSettings) -> None:
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     scratch.info()
     encode_png(scratch.snapshot())
+    for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):  # what a store does of each
+        encode_tile(tile.planes)
 
 
 def warm_up_rest(settings: GridSettings) -> None:

@@ -7,6 +7,7 @@ from prometheus_client.metrics_core import Metric
 from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.metrics import gauge, gauges
+from ogm_services.mapper.storage.kept_map import KeptMap
 from ogm_services.runtime.memory import MemoryUse
 
 
@@ -23,6 +24,14 @@ def queue_metrics(queue: ScanQueue) -> Iterator[Metric]:
 def ready_metric(health: Health) -> Iterator[Metric]:
     """What /readyz says, as a number."""
     yield gauge("ogm_ready", "1 while the mapper should get scans, else 0.", health.not_ready() is None)
+
+
+def store_metrics(kept_map: KeptMap) -> Iterator[Metric]:
+    """How far the map is stored on disk."""
+    if kept_map.revision is not None:
+        yield gauge("ogm_stored_revision", "Revision of the map that was stored last.", kept_map.revision)
+    failing = kept_map.failing is not None
+    yield gauge("ogm_store_failing", "1 while the map cannot be stored, else 0.", failing)
 
 
 def memory_metrics(memory: MemoryUse) -> Iterator[Metric]:

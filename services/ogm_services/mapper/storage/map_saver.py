@@ -51,6 +51,8 @@ class MapSaver:
         self._thread = threading.Thread(target=self._run, name="ogm-store")
         self._take: Callable[[], Taken] | None = None
         self._failing: str | None = None
+        self.revision: int | None = None
+        """Of the map that was stored last; None before the first one. Any thread."""
         self._complaints = LimitedLog(log)
 
     def __enter__(self) -> Self:
@@ -154,9 +156,9 @@ class MapSaver:
             self._failing = None
 
     def _commit(self, store: MapStore, taken: Taken) -> None:
-        if self._failing is None and not taken.placing and store.holds(taken.checkpoint):
-            return
-        store.commit(taken.checkpoint, taken.settings, taken.run, taken.placing)
+        if self._failing is not None or taken.placing or not store.holds(taken.checkpoint):
+            store.commit(taken.checkpoint, taken.settings, taken.run, taken.placing)
+        self.revision = taken.checkpoint.state.revision
 
 
 def _done(job: Callable[[MapStore], Any], done: Future[Any], store: MapStore) -> None:

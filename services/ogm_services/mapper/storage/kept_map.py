@@ -1,0 +1,94 @@
+"""Kept map: a mapper's map on disk, restored before all else, stored while the mapper works, closed last."""
+
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+from ogm_core.errors import BadSetting
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.state import StateParts, state_of
+from ogm_services.mapper.storage.checkpoints import Checkpoints, Encode, WrittenMap
+from ogm_services.mapper.storage.map_saver import MapSaver
+from ogm_services.mapper.storage.map_store import MapStore
+
+
+class KeptMap:
+    """The store of one mapper. The thread that starts and stops the mapper calls what is no property."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the store in `folder`; whoever does closes it.
+
+        Raises:
+            OgmError: as `MapStore`.
+        """
+        self._folder = folder
+        self._placing: Mapping[str, bytes] = {}
+        self._saver = MapSaver(folder)
+        self._saver.__enter__()
+        self._closed = False
+
+    @property
+    def failing(self) -> str | None:
+        """Why the map is not stored at present; None if it is."""
+        return self._saver.failing
+
+    @property
+    def revision(self) -> int | None:
+        """Of the map that was stored last; None before the first one."""
+        return self._saver.revision
+
+    def restored(self, settings: GridSettings, run: str, start_map: Path | None) -> OccupancyGrid | None:
+        """The map that is stored, now written by the process `run`; None if there is none.
+
+        Raises:
+            BadStore: the store is damaged.
+            BadSetting: the settings contradict those that it was made with, or another map is to be started.
+        """
+
+        def read(store: MapStore) -> OccupancyGrid | None:
+            if start_map is not None and not store.empty:
+                raise BadSetting(
+                    f"mapper.start_map: {start_map}: {self._folder} has a map already, which goes on: leave "
+                    "mapper.start_map out, or give an empty folder as mapper.data"
+                )
+            restored = store.restore(settings)
+            if restored is None:
+                return None
+            self._placing = restored.placing
+            return restored.grid
+
+        grid = self._saver.do(read)
+        if grid is not None:
+            grid.run = run
+        return grid
+
+    def checkpoints(
+        self, live_map: WrittenMap, settings: GridSettings, run: str, placer: ScanPlacer
+    ) -> Checkpoints:
+        """Have the placer go on where the stored one was; what the worker is to offer from then on.
+
+        Raises:
+            BadState: what is stored of a robot is damaged.
+        """
+        state = state_of(self._placing)
+        placer.restore(state, time.monotonic())
+        parts = StateParts(state)
+        self._placing = {}
+
+        def take() -> Encode:
+            return partial(parts.changes, placer.state())
+
+        return Checkpoints(live_map, settings, run, take)
+
+    def keep(self, checkpoints: Checkpoints) -> None:
+        """Store the map once a second from now on; the worker runs."""
+        self._saver.keep(checkpoints.take)
+
+    def close(self) -> None:
+        """Store what is not stored yet, if the map was kept, and let go of the store. Once is enough."""
+        if not self._closed:
+            self._closed = True
+            self._saver.__exit__()
