@@ -20,6 +20,7 @@ PROJECT = PYPROJECT["project"]
 PACKAGES = {"ogm_core": ROOT, "ogm_services": ROOT / "services", "ogm_client": ROOT / "clients"}
 FILES = {"map.png", "map.pgm", "map.yaml", "map.npz", "quality.json"}
 CACHE = "/var/cache/ogm"
+DATA = "/var/lib/ogm"
 PORT = "8000"
 STARTED = 120.0
 
@@ -136,17 +137,18 @@ def test_the_health_check_fails_where_nobody_is_or_is_ready(health):
         assert health(port) == 1
 
 
-def test_the_image_runs_without_privileges_on_ports_and_a_volume_that_it_names(dockerfile):
+def test_the_image_runs_without_privileges_on_ports_and_volumes_that_it_names(dockerfile):
     last = dockerfile[-1]
     user, group = the(last, "USER").text.split(":")
     made = next(instruction.text for instruction in last if "useradd" in instruction.text)
     assert f"--uid {user} --gid {group} " in made
-    assert f"chown {user}:{group} {CACHE}" in made
+    assert f"chown {user}:{group} {CACHE} {DATA}" in made
     assert int(user) > 1000
     names = [instruction.name for instruction in last]
     assert names.index("USER") < names.index("RUN", names.index("USER")) < names.index("VOLUME")
     environ = dict(word.split("=") for word in the(last, "ENV").words)
-    assert environ["NUMBA_CACHE_DIR"] == the(last, "VOLUME").text == CACHE
+    assert the(last, "VOLUME").words == [CACHE, DATA]
+    assert environ["NUMBA_CACHE_DIR"] == CACHE
     assert environ["OGM_HTTP__HOST"] == "0.0.0.0"
     settings = load_settings(config=None, flags={}, environ=environ)
     assert (settings.http.host, str(settings.http.port)) == ("0.0.0.0", PORT)

@@ -23,7 +23,7 @@ MAP_FLAGS = (
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"
-MAPPER_FLAGS = "--start-map --start-confidence"
+MAPPER_FLAGS = "--data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = "--range-max --robot --odometry"
 FLAGS = {
