@@ -76,7 +76,7 @@ class Parts:
             raise
 
     def close(self) -> None:
-        """Close what is open before the service starts."""
+        """Close what is open before the service starts; once the worker runs no more. Once is enough."""
         if self.kept_map is not None:
             self.kept_map.close()
 
@@ -122,16 +122,15 @@ class Parts:
         self.memory.add("robots", lambda: placer.robots_bytes, limits.robots_bytes)
         self.overload = Overload(queue, self.receipts)
         """Any thread."""
-        self.checkpoints = None
-        """Where the worker and the store's thread meet."""
-        if self.kept_map is not None:
-            self.checkpoints = self.kept_map.checkpoints(self.live_map, grid_settings, self.run, placer)
+        kept = self.kept_map
+        if kept is not None:
+            kept.go_on(self.live_map, grid_settings, self.run, placer)
         self.worker = Worker(
             *(queue, placer, self.receipts),
             max_beams=limits.beams,
             overload=self.overload,
             sensors=SensorRules(settings.sensor_rules()),  # of its own: the sizes are another thread's
-            between=(lambda: None) if self.checkpoints is None else self.checkpoints.offer,
+            between=(lambda: None) if kept is None else kept.offer,
         )
         """A thread, which alone writes the map."""
 

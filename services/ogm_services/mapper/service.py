@@ -232,7 +232,7 @@ class MapperService:
 
     def _start(self, opening: ExitStack) -> None:
         """Open the network and start the threads; `opening` ends them in the opposite order."""
-        opening.callback(self.parts.close)
+        opening.callback(self.parts.close)  # for a start that fails; else it is closed before, see below
         network = self._settings.network
         listener = opening.enter_context(bound_socket(self._settings.http.host, self._settings.http.port))
         wanted = network.for_mapper()
@@ -260,14 +260,11 @@ class MapperService:
         _warm_up(self.parts.grid_settings)
         others.serve()
         # From here on the map changes: what is to outlive the worker, and see its last change, opens before.
-        kept, checkpoints = self.parts.kept_map, self.parts.checkpoints
-        if kept is not None and checkpoints is not None:
-            opening.callback(kept.close)
-            opening.callback(checkpoints.worker_stopped)
+        opening.callback(self.parts.close)
         self.parts.worker.start()
         opening.callback(self.parts.worker.stop)
-        if kept is not None and checkpoints is not None:
-            kept.keep(checkpoints)
+        if self.parts.kept_map is not None:
+            self.parts.kept_map.keep()
         subscriber.declare()
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)

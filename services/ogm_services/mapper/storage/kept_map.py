@@ -16,7 +16,10 @@ from ogm_services.mapper.storage.map_store import MapStore
 
 
 class KeptMap:
-    """The store of one mapper. The thread that starts and stops the mapper calls what is no property."""
+    """The store of one mapper.
+
+    The worker calls `offer`, any thread reads the properties; who starts and stops the mapper does the rest.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Open the store in `folder`; whoever does closes it.
@@ -28,6 +31,7 @@ class KeptMap:
         self._placing: Mapping[str, bytes] = {}
         self._saver = MapSaver(folder)
         self._saver.__enter__()
+        self._checkpoints: Checkpoints | None = None
         self._closed = False
 
     @property
@@ -65,10 +69,8 @@ class KeptMap:
             grid.run = run
         return grid
 
-    def checkpoints(
-        self, live_map: WrittenMap, settings: GridSettings, run: str, placer: ScanPlacer
-    ) -> Checkpoints:
-        """Have the placer go on where the stored one was; what the worker is to offer from then on.
+    def go_on(self, live_map: WrittenMap, settings: GridSettings, run: str, placer: ScanPlacer) -> None:
+        """Have the placer go on where the stored one was; from here on `offer` may be called.
 
         Raises:
             BadState: what is stored of a robot is damaged.
@@ -81,14 +83,26 @@ class KeptMap:
         def take() -> Encode:
             return partial(parts.changes, placer.state())
 
-        return Checkpoints(live_map, settings, run, take)
+        self._checkpoints = Checkpoints(live_map, settings, run, take)
 
-    def keep(self, checkpoints: Checkpoints) -> None:
+    def offer(self) -> None:
+        """Worker, between two messages: take a checkpoint if one is wanted."""
+        if self._checkpoints is not None:
+            self._checkpoints.offer()
+
+    def keep(self) -> None:
         """Store the map once a second from now on; the worker runs."""
-        self._saver.keep(checkpoints.take)
+        if self._checkpoints is not None:
+            self._saver.keep(self._checkpoints.take)
 
     def close(self) -> None:
-        """Store what is not stored yet, if the map was kept, and let go of the store. Once is enough."""
-        if not self._closed:
-            self._closed = True
-            self._saver.__exit__()
+        """Store what is not stored yet, if the map was kept, and let go of the store. Once is enough.
+
+        The worker runs no more, or never has.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if self._checkpoints is not None:
+            self._checkpoints.worker_stopped()
+        self._saver.__exit__()
