@@ -33,15 +33,15 @@ def warm_up(settings: GridSettings) -> None:
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     scratch.info()
     encode_png(scratch.snapshot())
-    for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):  # what a store does of each
-        encode_tile(tile.planes)
 
 
 def warm_up_rest(settings: GridSettings) -> None:
-    """The same for what is rare, or can wait: quality, other formats, sweeps, a map that is full."""
+    """The same for what is rare, or can wait: storing, quality, other formats, sweeps, a map that is full."""
     small, scan, pose = _small(settings)
     scratch = LiveMap(OccupancyGrid(small))
     scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
+    for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
+        encode_tile(tile.planes)
     scratch.quality()
     encode_json(scratch.snapshot(), "", "percent")
     with suppress(LimitReached):  # a map that is full counts tiles by another kernel
