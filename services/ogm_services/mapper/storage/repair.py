@@ -20,7 +20,7 @@ from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.tiles.checkpoint import KeptTile, MapState
 from ogm_core.tiles.store import TILE
 from ogm_services.mapper.storage import rows
-from ogm_services.mapper.storage.digests import Root, part_digest
+from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import OtherVersion, told_as_failure
 from ogm_services.mapper.storage.folder_lock import FILE as LOCK
 from ogm_services.mapper.storage.folder_lock import FolderLock
@@ -108,16 +108,13 @@ def _readable(path: Path) -> BinaryIO:
 
 
 def _write(found: Salvage, path: Path) -> MapState:
-    root = Root()
     with created_file(path) as connection:
+        written = rows.write_placing(connection, found.placing)
         for tile, _ in found.tiles.values():
-            root.put((tile.tx, tile.ty), rows.write_tile(connection, tile))
-        rows.write_placing(connection, found.placing)
-        for key, value in found.placing.items():
-            root.put(key, part_digest(key, value))
+            written[tile.tx, tile.ty] = rows.write_tile(connection, tile)
         state = _new_state(found)
         run = "" if found.state is None else found.state.run
-        rows.write_state(connection, rows.new_state(state, run, found.settings, root))
+        rows.write_state(connection, rows.new_state(state, run, found.settings, Root().changed(written)))
     return state
 
 
