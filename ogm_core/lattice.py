@@ -20,6 +20,8 @@ MAX_RESOLUTION = 1e6
 MAX_INDEX = 2**52
 """Cells beyond this index are not addressed: a float64 no longer tells neighbours apart."""
 _WHOLE = 1e-6
+SAME_RESOLUTION = 1e-6
+"""Resolutions that differ by no more, relatively, are one: files round them."""
 
 
 class CellRect(NamedTuple):

@@ -3,12 +3,18 @@
 import hashlib
 import json
 
-from counts_model import scans
+import pytest
+
+from counts_model import Counts, scans
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 
 RUN = "run1"
+MODELS = pytest.mark.parametrize(
+    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
+)
+"""Every cell model and type that a map may have."""
 
 
 def grid_of(model=None, epoch="epoch1", **changes):

@@ -4,12 +4,10 @@ from functools import lru_cache
 
 from ogm_core.errors import BadMessage
 from ogm_core.wire.keys import NAME
-from ogm_core.wire.messages import numbering
+from ogm_core.wire.messages import INT_END, numbering
 
 Head = tuple[int, int, str]
 """What numbers a message: its stamp in ns, its seq among those of its key and run, and the run."""
-
-_INT_END = 2**63
 
 
 def read_head(payload: bytes) -> Head | None:
@@ -33,7 +31,7 @@ def read_head(payload: bytes) -> Head | None:
                 else:
                     return numbering(payload)
                 run, stamp = _run_of(payload[at : at + length]), int.from_bytes(payload[8:16])
-                if run is not None and stamp < _INT_END and seq < _INT_END:
+                if run is not None and stamp < INT_END and seq < INT_END:
                     return stamp, seq, run
         return numbering(payload)
     except (BadMessage, IndexError):

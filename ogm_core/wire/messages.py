@@ -28,7 +28,8 @@ MAX_ITEMS = 64
 """A list or map in a message has at most so many items, and a message twice so many lists and maps."""
 MAX_TEXT = 1024
 """The longest text in a message, bytes of UTF-8."""
-_INT_END = 2**63
+INT_END = 2**63
+"""Stamps and seqs are below it."""
 
 Fields = Mapping[str, Any]
 _Part = TypeVar("_Part")
@@ -257,7 +258,7 @@ def _number(fields: Fields, name: str, default: float | None = None) -> float:
 
 def _count(fields: Fields, name: str) -> int:
     value = fields.get(name)
-    if type(value) is int and 0 <= value < _INT_END:
+    if type(value) is int and 0 <= value < INT_END:
         return value
     value = _required(fields, name)
     if type(value) is not int:

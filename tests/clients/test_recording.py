@@ -1,14 +1,12 @@
 """RecordingWriter: what it writes, by what reads recordings; what it refuses; what failures leave behind."""
 
 import inspect
-import resource
-import signal
 import threading
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
+from full_disk import room_for
 from ogm_client import OgmError, RecordingWriter, RobotPublisher
 from ogm_core.errors import BadMessage, BadRecording, BadSetting, DiskFull
 from ogm_core.logs.recordings import RecordingReader
@@ -152,19 +150,6 @@ def test_a_recording_that_cannot_be_is_refused_at_once(tmp_path, name, changes, 
     with pytest.raises(OgmError, match=said):
         RecordingWriter(tmp_path / name, **changes)
     assert list(tmp_path.iterdir()) == []
-
-
-@contextmanager
-def room_for(size):
-    """Files may grow to so many bytes, and then there is no room, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.mark.parametrize("name", ["log.jsonl", "log.jsonl.gz"])

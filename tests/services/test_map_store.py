@@ -16,12 +16,9 @@ from ogm_core.errors import BadInput, BadSetting, BadStore
 from ogm_core.lattice import Region
 from ogm_services.mapper.storage.folder_lock import StoreInUse
 from ogm_services.mapper.storage.map_store import MapStore
-from stored_maps import RUN, Story, fingerprint, grid_of, restored
+from stored_maps import MODELS, RUN, Story, fingerprint, grid_of, restored
 
 BOUNDS = Region(-5.0, -4.0, 12.3, 9.7)
-MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
-)
 WHERE = pytest.mark.parametrize("bounds", [None, BOUNDS], ids=["unbounded", "bounded"])
 
 

@@ -17,10 +17,6 @@ from ogm_services.mapper.storage.map_store import MapStore
 from ogm_services.mapper.storage.repair import repair
 from stored_maps import Story, fingerprint, grid_of
 
-MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
-)
-
 
 def stored(folder, model=None, **changes):
     """A store of eight scans, closed; its story."""

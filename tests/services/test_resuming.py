@@ -133,7 +133,7 @@ def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, loss
     receipts = subscribed(queue, decided)
     eventually(lambda: receipts.status().scans.received == 18 and receipts.status().poses.received == 5)
     taken = [queue.take(0) for _ in range(23)]
-    seqs = [read_head(item.payload)[1] for item in taken if item.source is not None and item.is_scan]
+    seqs = [read_head(item.payload)[1] for item in taken if item.source is not None and item.source.sensor]
     status = receipts.status()
     assert (status.scans.received, status.poses.received) == (18, 5)
     assert losses["scan replayed"] >= 2

@@ -7,16 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from counts_model import Counts
-from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, BadSetting, BadStore
 from ogm_services.mapper.storage.map_store import MapStore
 from ogm_services.replies.answer import UnknownName
-from stored_maps import Story, fingerprint, grid_of, restored
-
-MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
-)
+from stored_maps import MODELS, Story, fingerprint, grid_of, restored
 
 
 @pytest.fixture
@@ -29,9 +23,7 @@ def story(tmp_path):
         yield story
 
 
-@pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
-)
+@MODELS
 def test_a_snapshot_is_the_map_as_it_was(tmp_path, model):
     with MapStore(tmp_path) as store:
         story = Story(store, grid_of(model, resolution=0.1))

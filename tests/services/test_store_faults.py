@@ -8,9 +8,7 @@ import errno
 import json
 import os
 import re
-import resource
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from full_disk import room_for
 from ogm_core.errors import DiskFull
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver, Taken
@@ -171,19 +170,6 @@ def test_a_snapshot_that_has_no_room_is_not_there(disk):
     assert [path.name for path in (disk / "map" / "snapshots").iterdir()] == ["one.sqlite"]
 
 
-@contextmanager
-def files_of(size):
-    """No file of this process grows beyond so many bytes: a fault that needs nobody's leave."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
-
-
 def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventually, caplog):
     story = Story(None, grid_of())
     settings = story.grid.settings
@@ -199,7 +185,7 @@ def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventu
         saver.keep(take)
         eventually(lambda: saver.do(lambda store: store.empty) is False)
         assert saver.failing is None
-        with files_of(1):
+        with room_for(1):
             reason = eventually(lambda: saver.failing)
             assert f"{tmp_path}/map.sqlite: cannot be written: " in reason
             failed = story.grid.revision

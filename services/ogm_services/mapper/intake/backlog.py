@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
+from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.caches import Account, Cached, Caches
 
@@ -12,7 +13,7 @@ NEWEST = 16
 """So many of the newest messages of each cache are asked for at first: mostly no more are missing."""
 PART = 256
 """Then so many at a time, or fewer, so that they are no more than PART_BYTES."""
-PART_BYTES = 1024**2
+PART_BYTES = MEBIBYTE
 
 Wanted = Callable[[Source, str], int | None]
 """The first seq of a source and run that was not handed on; None if nothing is known of the run."""

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import zenoh
 
+from ogm_core.units import MEBIBYTE
 from ogm_core.wire.heads import Head, read_head
 from ogm_core.wire.keys import MapKeys, Source
 
 TIMEOUT = 2.0
 """How long a cache may take to answer, s."""
-MAX_BYTES = 64 * 1024**2
+MAX_BYTES = 64 * MEBIBYTE
 """Answers that may be held at a time, of all caches."""
 MAX_KEYS = 1000
 """Keys whose sources are remembered."""

@@ -45,11 +45,6 @@ class Message:
     dropped: bool = False
 
     @property
-    def is_scan(self) -> bool:
-        """Whether it is one of those that may be dropped."""
-        return self.source is not None and self.source.sensor is not None
-
-    @property
     def sender(self) -> str | None:
         """Whose message or command it is; None of the mapper's own commands."""
         return self.robot if self.source is None else self.source.robot

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from ogm_core.placing.rules import MAX_SENSORS
+from ogm_core.units import MEBIBYTE
 from ogm_core.wire.heads import Head, read_head
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
 from ogm_services.mapper.intake.numbering import Numbering, Standing
 
-MAX_BYTES = 64 * 1024**2
+MAX_BYTES = 64 * MEBIBYTE
 """What may be held of all robots, and the quarter of it of one; past that the oldest is let go of."""
 SILENCE = 5.0
 """A source that has a cache and is silent for so long is asked, s; then after twice the time, and so on."""

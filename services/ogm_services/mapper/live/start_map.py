@@ -15,13 +15,12 @@ from ogm_core.cells.model import CellModel, StoredCells
 from ogm_core.errors import BadMapFile, BadSetting, LimitReached, OutsideBounds
 from ogm_core.files.map_files import MAX_NPZ_BYTES, NpzMap, load_npz
 from ogm_core.grid import OccupancyGrid
+from ogm_core.lattice import SAME_RESOLUTION
 from ogm_services.settings.settings import Settings, is_npz
 
 if TYPE_CHECKING:
     from ogm_core.files.ros_map_reader import RosMap
 
-SAME_RESOLUTION = 1e-6
-"""Resolutions that differ by no more, relatively, are one: files round them."""
 log = logging.getLogger(__name__)
 _UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
 """Stored cells are rounded: what is undecided keeps this far away from "occupied"."""

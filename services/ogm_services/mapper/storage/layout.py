@@ -7,6 +7,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from ogm_core.errors import BadStore
+from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.storage.failures import OtherVersion
 
 FILE = "map.sqlite"
@@ -15,7 +16,7 @@ APPLICATION_ID = 0x4F474D31
 """In the file's header: "OGM1", so that other databases are told apart."""
 VERSION = 1
 """Of the tables and of what is in them."""
-WAL_BYTES = 2**20
+WAL_BYTES = MEBIBYTE
 """From this size on the log's pages go into the file, and the log begins anew."""
 _PAGE = 4096
 _TABLES = f"""

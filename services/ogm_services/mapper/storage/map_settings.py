@@ -14,11 +14,10 @@ import numpy as np
 from ogm_core.cells.model import CellModel, Plane
 from ogm_core.errors import BadSetting, BadStore
 from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import SAME_RESOLUTION
 from ogm_core.tiles.store import TILE
 
 _COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range")
-_SAME_RESOLUTION = 1e-6
-"""Resolutions that differ by no more, relatively, are one: map files round them."""
 
 
 def as_text(settings: GridSettings) -> str:
@@ -85,7 +84,7 @@ def _of_model(model: CellModel) -> dict[str, Any]:
 
 
 def _alike(stored: object, now: float) -> bool:
-    return isinstance(stored, float) and abs(stored - now) <= _SAME_RESOLUTION * now
+    return isinstance(stored, float) and abs(stored - now) <= SAME_RESOLUTION * now
 
 
 def _shown(value: object) -> str:
