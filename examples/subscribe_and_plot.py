@@ -11,7 +11,9 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from io import BytesIO
 from itertools import islice
+from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib import pyplot as plt
@@ -37,10 +39,14 @@ def draw(grid: MapGrid) -> None:
 
 
 def save(grids: Iterator[MapGrid], out: str) -> None:
-    """Write each map into the picture `out`."""
+    """Write each map into the picture `out`, at once: a viewer, or Ctrl-C, meets no half of one."""
+    new = Path(f"{out}.new")
     for grid in grids:
         draw(grid)
-        plt.savefig(out)
+        picture = BytesIO()
+        plt.savefig(picture, format=Path(out).suffix[1:])
+        new.write_bytes(picture.getvalue())
+        new.replace(out)
 
 
 def show(grids: Iterator[MapGrid], waiting: ThreadPoolExecutor) -> None:
