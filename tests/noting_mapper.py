@@ -93,7 +93,7 @@ class NotingMapper(Process):
 
 
 class _Notes:
-    """The file of notes: what is decided by it, and what is counted beside messages that are taken."""
+    """The file of notes: what is decided by it, and what is lost and comes again."""
 
     def __init__(self, path):
         self._seqs = defaultdict(set)
@@ -184,12 +184,18 @@ def note(how, endpoint, path):
     from ogm_services.mapper.intake.queue import ScanQueue
     from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 
+    notes, queue = _Notes(Path(path)), ScanQueue(4096)
+
     class Placer:
+        decided = notes
+
         def robot_here(self, *_): ...
 
         def robot_gone(self, *_): ...
 
-    notes, queue = _Notes(Path(path)), ScanQueue(4096)
+    class NotedReceipts(Receipts):
+        scan_lost, pose_lost = notes.scan_lost, notes.pose_lost
+        scan_replayed, pose_replayed = notes.scan_replayed, notes.pose_replayed
 
     def work():
         while not queue.closed:
@@ -201,8 +207,8 @@ def note(how, endpoint, path):
 
     network = NetworkConfig(**{how: (endpoint,)}, connect_timeout=60.0)
     with open_session(network) as session:
-        options = {"max_beams": 1000, "decided": notes, "losses": notes}
-        subscriber = ZenohSubscriber(session, MapKeys(MAP_NAME), queue, Receipts(), Placer(), **options)
+        keys, receipts = MapKeys(MAP_NAME), NotedReceipts()
+        subscriber = ZenohSubscriber(session, keys, queue, receipts, Placer(), max_beams=1000)
         worker = threading.Thread(target=work, daemon=True)
         worker.start()
         subscriber.declare()

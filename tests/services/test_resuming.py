@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -39,24 +38,11 @@ class Decided:
         self.seqs.setdefault((sensor, run), set()).update(range(first, last + 1))
 
 
-class Losses(Counter):
-    """What is lost and replayed, scans and poses."""
-
-    def scan_lost(self, robot, sensor, count):
-        self["scan lost"] += count
-
-    def pose_lost(self, robot, count):
-        self["pose lost"] += count
-
-    def scan_replayed(self, robot, sensor):
-        self["scan replayed"] += 1
-
-    def pose_replayed(self, robot):
-        self["pose replayed"] += 1
-
-
 class Placer:
-    """Takes robots' tokens, and nothing else."""
+    """Has decided something, takes robots' tokens, and nothing else."""
+
+    def __init__(self, decided):
+        self.decided = decided
 
     def robot_here(self, *_):
         pass
@@ -71,19 +57,13 @@ def robot(listener, endpoint):
 
 
 @pytest.fixture
-def losses():
-    return Losses()
-
-
-@pytest.fixture
-def subscribed(listener, losses):
+def subscribed(listener):
     """`subscribed(queue, decided)`: a subscriber that asks, and its receipts."""
     open_ones = []
 
     def make(queue, decided):
         receipts = Receipts()
-        options = {"max_beams": 1000, "decided": decided, "losses": losses}
-        subscriber = ZenohSubscriber(listener, KEYS, queue, receipts, Placer(), **options)
+        subscriber = ZenohSubscriber(listener, KEYS, queue, receipts, Placer(decided), max_beams=1000)
         open_ones.append(subscriber)
         subscriber.declare()
         return receipts
@@ -124,7 +104,7 @@ def test_a_backlog_fills_no_more_than_its_part_of_the_queue(robot, subscribed, e
     assert 10 < most[0] <= 26
 
 
-def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, losses, eventually):
+def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, eventually):
     publish(robot, 50)
     decided = Decided(s=29)
     decided.seqs[None, "a"] = set(range(45))
@@ -136,8 +116,9 @@ def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, loss
     seqs = [read_head(item.payload)[1] for item in taken if item.source is not None and item.source.sensor]
     status = receipts.status()
     assert (status.scans.received, status.poses.received) == (18, 5)
-    assert losses["scan replayed"] >= 2
-    assert losses["scan lost"] == losses["pose lost"] == 0
+    status = receipts.status()
+    assert status.scans.replayed >= 2
+    assert status.scans.lost == status.poses.lost == 0
     assert seqs == [30, 31, 32, 33, 34, *range(37, 50)]
 
 
@@ -147,7 +128,7 @@ def test_what_a_mapper_dropped_or_could_not_read_is_decided():
     for seq in range(5):
         queue.put(Message(Source("r", "s"), scan(seq), 0.0))
     assert decided.seqs["s", "a"] == {0, 1, 2}
-    worker = Worker(queue, Placer(), receipts, max_beams=2, malformed=skipping(decided))
+    worker = Worker(queue, Placer(decided), receipts, max_beams=2, malformed=skipping(decided))
     worker.start()
     queue.put(Message(Source("r", None), b"bad", 0.0))
     deadline = time.monotonic() + 30.0
@@ -203,7 +184,7 @@ def test_a_queue_has_room_for_poses_likewise():
     assert not queue.has_room("c", [*names, "c"], 0.25)
 
 
-def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscribed, losses, eventually):
+def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscribed, eventually):
     queue = ScanQueue(100)
     receipts = subscribed(queue, Decided())
     robot.wait_for_mapper(30.0)
@@ -212,5 +193,5 @@ def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscrib
     robot.publish_scan([1.0], sensor="s", stamp=2, **SWEEP)
     eventually(lambda: receipts.status().scans.received == 3)
     assert receipts.status().scans.dropped["malformed"] == 1
-    assert losses["scan lost"] == 0
+    assert receipts.status().scans.lost == 0
     assert queue.scans == 2

@@ -149,8 +149,8 @@ def test_feedback_is_what_became_of_a_robots_scans(mapper, eventually):
     with publisher(mapper, "r1") as robot, publisher(mapper, "r2") as other:
         assert robot.feedback().sources == {}
         robot.wait_for_mapper(30.0)
-        for _ in range(3):
-            robot.publish_scan([1.0], **SWEEP, pose=(0.0, 0.0, 0.0), sensor="front")
+        for stamp in range(3):
+            robot.publish_scan([1.0], **SWEEP, pose=(0.0, 0.0, 0.0), stamp=stamp, sensor="front")
         robot.publish_scan([1.0], **SWEEP, stamp=7, sensor="rear")
         robot.publish_pose(0.0, 0.0, 0.0, stamp=8)
         other.publish_scan([1.0], **SWEEP, pose=(0.0, 0.0, 0.0))

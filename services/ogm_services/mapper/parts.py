@@ -19,6 +19,7 @@ from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import ScanQueue
+from ogm_services.mapper.intake.robot_hold import skipping
 from ogm_services.mapper.intake.work import ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.limits import Limits
@@ -97,7 +98,9 @@ class Parts:
         """What a message passes on its way into the map."""
         limits, grid_settings = self.limits, self.grid_settings
         sizes = ScanSizes(grid_settings, SensorRules(settings.sensor_rules()))
-        self.queue = queue = ScanQueue(limits.queue_scans, sizes.cells, limits.queue_bytes)
+        self.queue = queue = ScanQueue(
+            *(limits.queue_scans, sizes.cells, limits.queue_bytes), dropping=lambda *message: skip(*message)
+        )
         """Zenoh's threads put, the worker takes."""
         self.metrics = Metrics(
             partial(queue_metrics, queue),
@@ -116,7 +119,8 @@ class Parts:
             stopping=lambda: queue.closed,
             robots_limit=limits.robots_bytes,
         )
-        """The worker's."""
+        """The worker's; what it has decided, any thread asks."""
+        skip = skipping(placer.decided)
         self.memory.add("queue", lambda: queue.bytes, limits.queue_bytes)
         self.memory.add("waiting", lambda: placer.waiting_bytes, limits.waiting_bytes)
         self.memory.add("robots", lambda: placer.robots_bytes, limits.robots_bytes)
@@ -130,6 +134,7 @@ class Parts:
             max_beams=limits.beams,
             overload=self.overload,
             sensors=SensorRules(settings.sensor_rules()),  # of its own: the sizes are another thread's
+            malformed=skip,
             between=(lambda: None) if kept is None else kept.offer,
         )
         """A thread, which alone writes the map."""

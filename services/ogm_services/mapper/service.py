@@ -253,6 +253,7 @@ class MapperService:
             max_beams=self.parts.limits.beams,
             overload=self.parts.overload,
         )
+        self.memory.add("held", lambda: subscriber.hold.held)
         opening.callback(subscriber.close)
         others.claim()
         opening.enter_context(self._http(listener))

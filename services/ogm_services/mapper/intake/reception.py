@@ -2,7 +2,6 @@
 
 import logging
 import time
-from typing import Protocol
 
 from ogm_core.errors import BadMessage
 from ogm_core.placing.reasons import too_many_robots, too_many_sensors
@@ -17,26 +16,6 @@ from ogm_services.runtime.limited_log import LimitedLog
 log = logging.getLogger(__name__)
 
 
-class Losses(Protocol):
-    """Where messages are counted that did not come, or came again: neither is received. Any thread."""
-
-    def scan_lost(self, robot: str, sensor: str, count: int) -> None:
-        """Count scans that cannot be had any more."""
-        ...
-
-    def pose_lost(self, robot: str, count: int) -> None:
-        """Count poses that cannot be had any more."""
-        ...
-
-    def scan_replayed(self, robot: str, sensor: str) -> None:
-        """Count a scan that came again."""
-        ...
-
-    def pose_replayed(self, robot: str) -> None:
-        """Count a pose that came again."""
-        ...
-
-
 class Reception:
     """Takes messages for the queue. Any thread; a pose waits until the queue has room for it."""
 
@@ -47,13 +26,11 @@ class Reception:
         *,
         max_beams: int,
         overload: Overload | None = None,
-        losses: Losses | None = None,
     ) -> None:
         self._queue = queue
         self._receipts = receipts
         self._max_scan_bytes = max_scan_bytes(max_beams)
         self._overload = overload or Overload(queue, receipts)
-        self._losses = losses
         self._complaints = LimitedLog(log)
 
     def hand_on(self, source: Source, payload: bytes) -> None:
@@ -100,21 +77,17 @@ class Reception:
             f"{robot}/{sensor or 'pose'}",
             f"{count} {what} are lost{which}: they did not arrive, and no publisher of the robot keeps them",
         )
-        if self._losses is None:
-            return
         if sensor is None:
-            self._losses.pose_lost(robot, count)
+            self._receipts.pose_lost(robot, count)
         else:
-            self._losses.scan_lost(robot, sensor, count)
+            self._receipts.scan_lost(robot, sensor, count)
 
     def replayed(self, source: Source) -> None:
         """Count a message that came again."""
-        if self._losses is None:
-            return
         if source.sensor is None:
-            self._losses.pose_replayed(source.robot)
+            self._receipts.pose_replayed(source.robot)
         else:
-            self._losses.scan_replayed(source.robot, source.sensor)
+            self._receipts.scan_replayed(source.robot, source.sensor)
 
     def _refused(self, source: Source, now: float) -> bool:
         """Count a message; whether it is of one robot, or sensor, too many, so that nothing is kept of it."""

@@ -15,8 +15,7 @@ from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
-from ogm_services.mapper.intake.reception import Losses, Reception
-from ogm_services.mapper.intake.robot_hold import Decided
+from ogm_services.mapper.intake.reception import Reception
 from ogm_services.runtime.limited_log import LimitedLog
 
 REMEMBERED_KEYS = 1000
@@ -47,28 +46,24 @@ class ZenohSubscriber:
         *,
         max_beams: int,
         overload: Overload | None = None,
-        decided: Decided | None = None,
-        losses: Losses | None = None,
     ) -> None:
-        """With `decided`, what was missed is asked for, and `losses` counts what cannot be had any more."""
         self._session = session
         self._placer = placer
         self._keys = keys
         self._source_of = lru_cache(REMEMBERED_KEYS)(keys.source_of)
         self._queue = queue
         self._receipts = receipts
-        self._reception = Reception(queue, receipts, max_beams=max_beams, overload=overload, losses=losses)
+        self._reception = Reception(queue, receipts, max_beams=max_beams, overload=overload)
         caches = Caches(session, keys, self._reception.longest)
-        self.hold = None if decided is None else HoldAndAsk(caches, decided, self._reception)
-        """What holds robots back while they are asked for what was missed; None if nobody asks."""
+        self.hold = HoldAndAsk(caches, placer.decided, self._reception)
+        """What holds robots back while they are asked for what was missed."""
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
 
     def declare(self) -> None:
         """Declare the subscriber: from here on nothing that is put is missed."""
-        if self.hold is not None:
-            self._declared.callback(self.hold.stop)
-            self.hold.start()
+        self._declared.callback(self.hold.stop)
+        self.hold.start()
         tokens = zenoh.handlers.Callback(self._token_changed, indirect=False)
         alive = self._keys.alive("robot", "*", "*")
         self._declared.push(self._session.liveliness().declare_subscriber(alive, tokens, history=True))
@@ -88,10 +83,7 @@ class ZenohSubscriber:
         length = len(sample.payload)
         if length > self._reception.longest(source):
             self._reception.refuse_long(source, length)
-            if self.hold is not None:
-                self.hold.unread(source)
-        elif self.hold is None:
-            self._reception.hand_on(source, sample.payload.to_bytes())
+            self.hold.unread(source)
         else:
             self.hold.take(source, sample.payload.to_bytes(), time.monotonic())
 
@@ -108,7 +100,4 @@ class ZenohSubscriber:
         note = self._placer.robot_here if here else self._placer.robot_gone
         told = partial(note, found.robot, found.run, now)
         put = partial(self._queue.put, Message(None, b"", now, told, robot=found.robot))
-        if self.hold is None:
-            put()
-        else:
-            self.hold.do_in_turn(found.robot, put)
+        self.hold.do_in_turn(found.robot, put)
