@@ -55,9 +55,10 @@ class RobotPublisher:
     `reliable`, publishing waits instead. A connection that breaks is made again by itself.
 
     What was dropped, or published while the connection or the mapper was away, the mapper asks for in Zenoh's
-    caches, which keep the last `cache_samples` scans of each sensor, and five times as many poses. At 10 scans and up to 50 poses a second that is the last minute. The defaults take 3 MB for each
-    sensor of 1081 beams and 1.5 MB for the poses. The publisher has to live until then: what it keeps ends
-    with it. While the caches are read over a slow link, publishing waits, a few seconds at most.
+    caches, which keep the last `cache_samples` scans of each sensor, and five times as many poses. At 10
+    scans and up to 50 poses a second that is the last minute. The defaults take 3 MB for each sensor of 1081
+    beams and 1.5 MB for the poses. The publisher has to live until then: what it keeps ends with it. While
+    the caches are read over a slow link, publishing waits, a few seconds at most.
 
     Thread safety: poses and scans may be published from different threads, also those of one key; a lock per
     key makes the order on the wire that of `seq`. Closing while another thread publishes makes that thread's
