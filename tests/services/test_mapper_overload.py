@@ -107,6 +107,7 @@ def flood_of(kind, mapper, fields):
 
 @pytest.mark.parametrize("kind", ["300 sensors", "16 sensors", "noise", "poses", "tokens"])
 def test_an_honest_robot_loses_nothing_to_a_flood(slow, fields, eventually, kind):
+    slow.took[""] = 0.01  # a flood on a busy machine, of which 16 sensors in 300 are taken, is more than this
     with flooding(slow, flood_of(kind, slow, fields)):
         sent = honest_scans(slow, 3.0)
         if kind.endswith("sensors"):
