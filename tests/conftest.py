@@ -5,6 +5,9 @@ A deadline says when to give up, never how quick something is: it holds on a mac
 
 import errno
 import os
+import shutil
+import subprocess
+import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -98,3 +101,17 @@ def disk_full(monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", fsync)
+
+
+@pytest.fixture(scope="session")
+def failing_disk(tmp_path_factory):
+    """The library of failing_disk.c."""
+    compiler = shutil.which("cc")
+    if compiler is None or sys.platform != "linux":
+        pytest.skip(
+            "a disk that fails is a library for Linux that a C compiler (cc) makes; there is none here"
+        )
+    library = tmp_path_factory.mktemp("failing") / "failing_disk.so"
+    source = Path(__file__).with_name("failing_disk.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    return library

@@ -3,7 +3,8 @@
  * The file that FAILING_DISK names says what fails, on files of which the name holds "map.sqlite":
  *     write 28 3     every write after 3 more that go well fails with error number 28
  *     sync 5 0       every fsync and fdatasync fails with 5 at once
- * Nothing fails while it is empty. The child that tests store faults writes it.
+ *     slow 800 0     every fsync and fdatasync takes 800 ms
+ * Nothing fails while it is empty. The tests write it.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -34,6 +35,7 @@ static int fails(const char *what, int fd)
     if (sscanf(said, "%15s %d %d", kind, &error, &well) != 3 || strcmp(kind, what)) return 0;
     if (strcmp(said, current)) { strcpy(current, said); left = well; }
     if (left > 0) { left--; return 0; }
+    if (!strcmp(kind, "slow")) { usleep(1000 * error); return 0; }
     errno = error;
     return 1;
 }
@@ -42,5 +44,5 @@ static int fails(const char *what, int fd)
 ssize_t pwrite64(int fd, const void *b, size_t n, off64_t at) { return fails("write", fd) ? -1 : NEXT(pwrite64)(fd, b, n, at); }
 ssize_t pwrite(int fd, const void *b, size_t n, off_t at) { return fails("write", fd) ? -1 : NEXT(pwrite)(fd, b, n, at); }
 ssize_t write(int fd, const void *b, size_t n) { return fails("write", fd) ? -1 : NEXT(write)(fd, b, n); }
-int fsync(int fd) { return fails("sync", fd) ? -1 : NEXT(fsync)(fd); }
-int fdatasync(int fd) { return fails("sync", fd) ? -1 : NEXT(fdatasync)(fd); }
+int fsync(int fd) { fails("slow", fd); return fails("sync", fd) ? -1 : NEXT(fsync)(fd); }
+int fdatasync(int fd) { fails("slow", fd); return fails("sync", fd) ? -1 : NEXT(fdatasync)(fd); }

@@ -5,7 +5,7 @@ between two cells makes both occupied.
 """
 
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,10 +31,12 @@ Runs = tuple[Ints, Ints, Ints]
 """Cells side by side: their row, first column and last column; none if the last is below the first."""
 
 
-def truth_figures(snapshot: MapSnapshot, world: World) -> dict[str, float | None]:
+def truth_figures(
+    snapshot: MapSnapshot, world: World, between: Callable[[], None] = lambda: None
+) -> dict[str, float | None]:
     """How well a map agrees with the true world, cell by cell; None where there is nothing to judge.
 
-    The snapshot is one that was not shrunk.
+    The snapshot is one that was not shrunk. Calls `between` often; what that raises ends it.
 
     - accuracy: share of the known cells with p > 0.5 where truly occupied, and not where not.
     - precision: share of the map's occupied cells (p > 0.65) that lie within one cell (in x and in y) of a
@@ -47,7 +49,7 @@ def truth_figures(snapshot: MapSnapshot, world: World) -> dict[str, float | None
 
     Truly occupied cells are also those beside the map's rectangle, so its cut changes nothing.
     """
-    return _in_figures(_counts_of(snapshot, world, 0, snapshot.height))
+    return _in_figures(_counts_of(snapshot, world, 0, snapshot.height, between))
 
 
 def truth_figures_within(
@@ -95,11 +97,13 @@ def _in_figures(counts: _Counts) -> dict[str, float | None]:
     }
 
 
-def _counts_of(snapshot: MapSnapshot, world: World, first: int, stop: int) -> _Counts:
+def _counts_of(
+    snapshot: MapSnapshot, world: World, first: int, stop: int, between: Callable[[], None] = lambda: None
+) -> _Counts:
     """What is counted in the map's rows from `first` to before `stop`."""
     ix, iy, width, _ = snapshot.rect
     around = CellRect(ix - 1, iy + first - 1, width + 2, stop - first + 2)
-    truth = occupied_cells(world, snapshot.lattice, around)
+    truth = occupied_cells(world, snapshot.lattice, around, between)
     judged = _agreement(snapshot, truth[1:-1, 1:-1], first)
     return _Counts(*judged, *_matches(snapshot, truth, first, stop))
 
@@ -124,8 +128,10 @@ def _cost(snapshot: MapSnapshot, world: World, band: slice) -> int:
     return int(width * height + along.sum() + len(lows))
 
 
-def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
-    """Which cells of `rect` an obstacle's outline meets: bool, [iy, ix].
+def occupied_cells(
+    world: World, lattice: Lattice, rect: CellRect, between: Callable[[], None] = lambda: None
+) -> Bools:
+    """Which cells of `rect` an obstacle's outline meets: bool, [iy, ix]. Calls `between` often.
 
     A cell is its closed square, widened by 1e-9 cells on every side against rounding.
     """
@@ -134,9 +140,9 @@ def occupied_cells(world: World, lattice: Lattice, rect: CellRect) -> Bools:
     ends = lattice.in_cells(world.segments.reshape(-1, 2, 2)) - corner
     centres = lattice.in_cells(world.circles[:, :2]) - corner
     for runs in _segment_runs(ends, rect):
-        _mark(occupied, runs)
+        _mark(occupied, runs, between)
     for runs in _circle_runs(centres, world.circles[:, 2] / lattice.resolution, rect):
-        _mark(occupied, runs)
+        _mark(occupied, runs, between)
     return occupied
 
 
@@ -262,7 +268,9 @@ def _counted(first: Ints, last: Ints) -> Iterator[tuple[Ints, Ints]]:
         yield k, last[k] + 1 - ends[k] + np.arange(start, stop)
 
 
-def _mark(occupied: Bools, runs: Runs) -> None:
+def _mark(occupied: Bools, runs: Runs, between: Callable[[], None]) -> None:
     rows, first, last = runs
+    between()
     for k, column in _counted(first, last):
+        between()
         occupied[rows[k], column] = True

@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from mapper_desk import Desk, Sink
-from ogm_services.runtime.bounded_close import close_within
+from ogm_services.runtime.bounded_close import Closing
 
 CHILD = """
 import threading
@@ -64,13 +64,21 @@ def run(patch, folder, meanwhile=lambda url: None):
     return [line for line in errors.splitlines() if line.startswith("ogm: ")]
 
 
-def test_a_worker_that_does_not_end_ends_with_the_process_and_its_map_is_not_written(tmp_path):
-    stopped, written = run("ScanPlacer.expire = for_ever", tmp_path)
+def test_a_worker_that_does_not_end_ends_with_the_process_and_the_newest_copy_of_the_map_is_written(tmp_path):
+    def copy(url):
+        with urllib.request.urlopen(f"{url}map.npz", timeout=60) as answer:
+            copied.append(answer.read())
+
+    copied = []
+    written, stopped = run("ScanPlacer.expire = for_ever", tmp_path, copy)
+    assert written == (
+        f"ogm: the map's files in {tmp_path} are of revision 1: what came after it does not end"
+    )
     why = "the mapper has not stopped within 0.5 s, so it ends as it is: Worker.stop does not return"
     assert stopped.startswith(f"ogm: {why}; threads that go on: ")
     assert "ogm-worker" in stopped
-    assert written == f"ogm: the map's files are not written into {tmp_path}: the map is still in use"
-    assert list(tmp_path.iterdir()) == []
+    assert {path.name for path in tmp_path.iterdir()} == {"map.npz", "map.png", "map.pgm", "map.yaml"}
+    assert (tmp_path / "map.npz").read_bytes() == copied[0]
 
 
 def test_a_question_that_does_not_end_ends_with_the_process_and_the_map_is_written(tmp_path):
@@ -89,8 +97,8 @@ def test_a_question_that_does_not_end_ends_with_the_process_and_the_map_is_writt
 
 def test_what_closing_raises_is_raised():
     with pytest.raises(ZeroDivisionError):
-        close_within(20.0, lambda: 1 / 0)
-    assert close_within(20.0, lambda: None) is None
+        Closing(lambda: 1 / 0).held_after(20.0)
+    assert Closing(lambda: None).held_after(20.0) is None
 
 
 def test_scans_that_one_pose_makes_ready_stay_waiting_once_the_placer_is_to_stop():

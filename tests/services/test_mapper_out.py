@@ -11,8 +11,9 @@ import pytest
 from ogm_core.errors import DiskFull
 from ogm_core.quality.figures import Consistency
 from ogm_core.types import Pose, Scan
-from ogm_services.mapper import service as service_module
-from ogm_services.mapper.service import FIGURES_TIME, MapperService, run_mapper
+from ogm_services.mapper import last_map
+from ogm_services.mapper.last_map import FIGURES_TIME
+from ogm_services.mapper.service import MapperService, run_mapper
 from ogm_services.settings.settings import Settings
 
 MAP = {"map.png", "map.pgm", "map.yaml", "map.npz"}
@@ -85,7 +86,7 @@ def test_the_map_is_there_before_its_figures_are_looked_for(run, tmp_path, caplo
 
 def test_figures_that_take_too_long_are_left_out_and_it_is_said(run, monkeypatch, caplog):
     assert FIGURES_TIME == 5.0
-    monkeypatch.setattr(service_module, "FIGURES_TIME", 0.2)
+    monkeypatch.setattr(last_map, "FIGURES_TIME", 0.2)
     folder = run(for_ever)
     assert names(folder) == {*MAP, "quality.json"}
     quality = json.loads((folder / "quality.json").read_text())

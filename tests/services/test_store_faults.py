@@ -8,7 +8,6 @@ import errno
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
@@ -39,21 +38,6 @@ FAULTS = {
         f"StoreFails: {CANNOT}disk I/O error .SQLITE_IOERR_",
     ),
 }
-
-
-@pytest.fixture(scope="module")
-def failing_disk(tmp_path_factory):
-    """The library of failing_disk.c."""
-    compiler = shutil.which("cc")
-    if compiler is None or sys.platform != "linux":
-        pytest.skip(
-            "a disk that fails is a library for Linux that a C compiler (cc) makes; there is none here"
-        )
-    library = tmp_path_factory.mktemp("failing") / "failing_disk.so"
-    subprocess.run(
-        [compiler, "-shared", "-fPIC", "-o", library, TESTS / "failing_disk.c", "-ldl"], check=True
-    )
-    return library
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -76,6 +76,12 @@ class Parts:
             self.close()
             raise
 
+    def stop_mapping(self, timeout: float) -> None:
+        """Finish the scan in hand, for `timeout` s at most, and then begin to store the last map."""
+        self.worker.stop(timeout)
+        if self.kept_map is not None and not self.worker.alive:
+            self.kept_map.finish()
+
     def close(self) -> None:
         """Close what is open before the service starts; once the worker runs no more. Once is enough."""
         if self.kept_map is not None:

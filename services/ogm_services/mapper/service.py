@@ -4,6 +4,7 @@ import dataclasses
 import importlib.metadata
 import ipaddress
 import logging
+import math
 import os
 import socket
 import sys
@@ -19,10 +20,11 @@ from typing import NoReturn, Self
 import typer
 
 from ogm_client.session import open_session, resolve_listen
-from ogm_core.errors import MapEmpty, OgmError
+from ogm_core.errors import OgmError
 from ogm_core.grid_settings import GridSettings
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
+from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
 from ogm_services.mapper.serving.http_routes import build_app
@@ -30,8 +32,8 @@ from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
-from ogm_services.results.map_folder import check_folder, write_map, write_quality
-from ogm_services.runtime.bounded_close import close_within
+from ogm_services.results.map_folder import check_folder
+from ogm_services.runtime.bounded_close import Closing
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
@@ -46,12 +48,10 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
-STOP_TIME = 10.0
-"""How long a mapper may take to stop, s."""
-WORKER_TIME = 2.0
-"""How long after that the worker may take, so that the map can be written, s."""
-FIGURES_TIME = 5.0
-"""How long a mapper that has stopped computes figures of its map, s."""
+STOP_TIME = 9.0
+"""How long a mapper may take to stop, s: 10 s after a signal all that can be is on the disk."""
+WORKER_TIME = 5.0
+"""How long of that the worker may take to finish the scan in hand, s; no scan within the limits does."""
 
 log = logging.getLogger(__name__)
 reset_log = logging.getLogger(f"{__name__}.reset")
@@ -85,8 +85,9 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
     version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
+    last_map = LastMap(out)
     with ended_within(STOP_TIME, partial(_end_start, None)):
-        service = MapperService(settings)
+        service = MapperService(settings, last_map)
     log.info("zenoh-ogm %s starts, with %s", version, changed or "its default settings")
     try:
         with ExitStack() as running:
@@ -96,12 +97,11 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
                 typer.echo(line)
             service.wait()
     except NotStopped as stuck:
-        _end_as_it_is(stuck, out, service)
+        _end_as_it_is(stuck, last_map, service)
     finally:
         if service.was_ready:
             log.info("the mapper has stopped: %s", service.totals())
-        if out is not None and service.was_ready:
-            _write_results(out, service)
+            last_map.write_figures(service.answers, service.time_to_stop)
 
 
 def _end_start(service: "MapperService | None", held_by: str) -> None:
@@ -118,36 +118,17 @@ def _not_stopped(held_by: str) -> NotStopped:
     return NotStopped(f"the mapper has not stopped within {STOP_TIME:g} s, so it ends as it is: {held_by}")
 
 
-def _end_as_it_is(stuck: NotStopped, out: Path | None, service: "MapperService") -> NoReturn:
-    """End the process in which something does not stop, after the map's files if nobody writes the map."""
+def _end_as_it_is(stuck: NotStopped, last_map: LastMap, service: "MapperService") -> NoReturn:
+    """End the process in which something does not stop; its map is written."""
     try:
         for error in (stuck.__context__, stuck):
             if isinstance(error, OgmError):
                 typer.echo(f"ogm: {error}", err=True)
-        if out is not None and service.working:
-            typer.echo(f"ogm: the map's files are not written into {out}: the map is still in use", err=True)
-        elif out is not None:
-            _write_results(out, service)
+        log.info("the mapper ends: %s", service.totals())
+        last_map.write_figures(service.answers, service.time_to_stop)
     finally:
         sys.stdout.flush()
         os._exit(1)  # whatever else waits at the end of a process waits for all threads
-
-
-def _write_results(out: Path, service: "MapperService") -> None:
-    """Write the map, and only then its figures: whoever runs out of patience with them has the map."""
-    try:
-        write_map(out, service.live_map.snapshot(), None)
-    except MapEmpty:
-        log.warning("the map has no known cell: nothing is written into %s", out)
-        return
-    quality = service.answers.quality_fields(fresh=True, within=FIGURES_TIME)
-    write_quality(out, quality)
-    missing = quality.get("missing")
-    if missing:
-        log.warning(
-            "%s: figures that take longer than %g s are left out of quality.json: %s",
-            *(out, FIGURES_TIME, ", ".join(missing)),
-        )
 
 
 class MapperService:
@@ -158,8 +139,11 @@ class MapperService:
     queries, and one that makes rarely used kernels ready. All of them end with the `with`.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, last_map: LastMap | None = None) -> None:
+        """`last_map` is written when it stops."""
         self._settings = settings
+        self._last_map = last_map or LastMap(None)
+        self._stop_until = math.inf
         self._token = settings.http.write_token()
         self.parts = parts = Parts(settings)
         self.live_map, self.answers, self.memory = parts.live_map, parts.answers, parts.memory
@@ -178,10 +162,21 @@ class MapperService:
     ) -> None:
         self.parts.stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
         self.live_map.stop()  # else whoever has asked for figures would keep HTTP and Zenoh from ending
-        held_by = close_within(STOP_TIME, self._open.close)
-        if held_by is not None:
-            self.parts.worker.stop(WORKER_TIME)
-            raise _not_stopped(held_by)
+        # The map is on the disk first, whatever else does not end.
+        self._stop_until = time.monotonic() + STOP_TIME
+        self.parts.stop_mapping(WORKER_TIME)
+        closing = Closing(self._open.close)
+        try:
+            self._last_map.write_map(self.live_map, working=self.working)
+        finally:
+            held_by = closing.held_after(self.time_to_stop)
+            if held_by is not None:
+                raise _not_stopped(held_by)
+
+    @property
+    def time_to_stop(self) -> float:
+        """How long it may still take to stop, s."""
+        return max(0.0, self._stop_until - time.monotonic())
 
     @property
     def stopping(self) -> bool:

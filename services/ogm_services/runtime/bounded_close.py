@@ -9,27 +9,33 @@ _BETWEEN = ("threading", "contextlib", __name__)
 """Modules between the closing thread's start and what it calls."""
 
 
-def close_within(seconds: float, close: Callable[[], None]) -> str | None:
-    """Call `close` on a thread of its own: None once it is done, else what it waits for after `seconds`.
+class Closing:
+    """A close that goes on, on a thread of its own, while its caller does something else."""
 
-    What `close` raises is raised here. If it is not done, its thread goes on.
-    """
-    errors: list[BaseException] = []
+    def __init__(self, close: Callable[[], None]) -> None:
+        """Call `close`."""
+        self._close = close
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="ogm-close", daemon=True)
+        self._thread.start()
 
-    def run() -> None:
+    def held_after(self, seconds: float) -> str | None:
+        """None once it is done, else what it waits for after `seconds`; then its thread goes on.
+
+        What `close` raises is raised here.
+        """
+        self._thread.join(seconds)
+        if self._thread.is_alive():
+            return what_holds(self._thread)
+        if self._error is not None:
+            raise self._error
+        return None
+
+    def _run(self) -> None:
         try:
-            close()
-        except BaseException as error:  # noqa: BLE001 (raised below)
-            errors.append(error)
-
-    thread = threading.Thread(target=run, name="ogm-close", daemon=True)
-    thread.start()
-    thread.join(seconds)
-    if thread.is_alive():
-        return what_holds(thread)
-    if errors:
-        raise errors[0]
-    return None
+            self._close()
+        except BaseException as error:  # noqa: BLE001 (raised where it is waited for)
+            self._error = error
 
 
 def what_holds(thread: threading.Thread) -> str:

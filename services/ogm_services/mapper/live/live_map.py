@@ -160,6 +160,11 @@ class LiveMap:
             with self._writing:
                 return self._current_snapshot(room)
 
+    @property
+    def newest_copy(self) -> MapSnapshot | None:
+        """The newest snapshot that was taken, None if none was; waits for nobody."""
+        return self._snapshot
+
     def info(self) -> MapInfo:
         """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENT_PERIOD."""
         state = self._state
@@ -230,7 +235,7 @@ class LiveMap:
         try:
             if world is not None:
                 between()
-                figures["truth"] = truth_figures(snapshot, world)
+                figures["truth"] = truth_figures(snapshot, world, between)
                 missing.remove("truth")
             for placed in recent:
                 consistency.add(placed, between)

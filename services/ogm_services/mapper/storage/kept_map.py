@@ -11,6 +11,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.state import StateParts, state_of
 from ogm_services.mapper.storage.checkpoints import Checkpoints, Encode, WrittenMap
+from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver
 from ogm_services.mapper.storage.map_store import MapStore
 
@@ -95,14 +96,30 @@ class KeptMap:
         if self._checkpoints is not None:
             self._saver.keep(self._checkpoints.take)
 
-    def close(self) -> None:
-        """Store what is not stored yet, if the map was kept, and let go of the store. Once is enough.
+    def finish(self) -> None:
+        """Begin to store what is not stored yet, if the map was kept; `close` waits for it.
 
         The worker runs no more, or never has.
+        """
+        if self._checkpoints is not None:
+            self._checkpoints.worker_stopped()
+        self._saver.finish()
+
+    def close(self) -> None:
+        """Store what is not stored yet, and let go of the store. Once is enough.
+
+        The worker runs no more, or never has.
+
+        Raises:
+            StoreFails: what is not stored yet cannot be.
         """
         if self._closed:
             return
         self._closed = True
-        if self._checkpoints is not None:
-            self._checkpoints.worker_stopped()
+        self.finish()
         self._saver.__exit__()
+        if self.failing is not None:
+            raise StoreFails(
+                f"the map is not stored as it was in the end, but as of revision {self.revision or 0}: "
+                f"{self.failing}"
+            )

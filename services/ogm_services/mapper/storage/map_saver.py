@@ -71,8 +71,12 @@ class MapSaver:
 
     def __exit__(self, *_: object) -> None:
         """Store what is not stored yet, and close the store."""
-        self._jobs.put(None)
+        self.finish()
         self._thread.join()
+
+    def finish(self) -> None:
+        """Begin to do so, after what it is at; wait for nothing."""
+        self._jobs.put(None)
 
     @property
     def failing(self) -> str | None:
