@@ -11,6 +11,8 @@ import pytest
 import typer
 
 from ogm_services.cli import app
+from ogm_services.mapper.live.watch import LOOK_PERIOD
+from ogm_services.mapper.service import COMPILATION, STOP_TIME
 from ogm_services.runtime.endings import BAD_INPUT
 from ogm_services.settings.sources import load_settings
 
@@ -62,6 +64,15 @@ def test_the_map_is_stored_in_the_folder_that_systemd_keeps(service, environ):
 def test_it_starts_again_after_a_failure_but_not_with_bad_settings(service):
     assert service["Restart"] == ["on-failure"]
     assert service["RestartPreventExitStatus"] == [str(BAD_INPUT)]
+
+
+def test_it_is_started_once_it_says_that_it_is_ready_and_is_given_time_for_that_and_to_stop(service):
+    assert service["Type"] == ["notify"]  # READY=1: test_service_manager.py
+    assert "NotifyAccess" not in service  # it is the mapper itself that says so
+    assert "AF_UNIX" in service["RestrictAddressFamilies"][0].split()
+    assert int(service["TimeoutStartSec"][0]) > 10 * max(COMPILATION.values())
+    assert int(service["TimeoutStopSec"][0]) > 2 * STOP_TIME
+    assert int(service["WatchdogSec"][0]) > 10 * LOOK_PERIOD + STOP_TIME
 
 
 def test_systemd_finds_no_fault(tmp_path):

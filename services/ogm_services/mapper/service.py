@@ -37,6 +37,7 @@ from ogm_services.runtime.bounded_close import Closing
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
+from ogm_services.runtime.service_manager import ServiceManager
 from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
@@ -85,17 +86,22 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
     version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
-    last_map = LastMap(out)
+    last_map, manager = LastMap(out), ServiceManager()
     with ended_within(STOP_TIME, partial(_end_start, None)):
         service = MapperService(settings, last_map)
     log.info("zenoh-ogm %s starts, with %s", version, changed or "its default settings")
     try:
         with ExitStack() as running:
             with ended_within(STOP_TIME, partial(_end_start, service)):
+                service.parts.watch.add(lambda _: manager.alive() if service.working else None)
                 running.enter_context(service)
             for line in service.addresses:
                 typer.echo(line)
-            service.wait()
+            manager.ready("; ".join(service.addresses))
+            try:
+                service.wait()
+            finally:
+                manager.stopping("the map is finished and stored")
     except NotStopped as stuck:
         _end_as_it_is(stuck, last_map, service)
     finally:

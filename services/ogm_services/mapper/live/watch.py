@@ -18,9 +18,13 @@ class Watch:
     """
 
     def __init__(self, looks: Sequence[Callable[[float], None]]) -> None:
-        self._looks = looks
+        self._looks = list(looks)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ogm-watch")
+
+    def add(self, look: Callable[[float], None]) -> None:
+        """One more look, before it starts."""
+        self._looks.append(look)
 
     def start(self) -> None:
         """Begin to look."""
