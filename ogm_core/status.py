@@ -127,10 +127,23 @@ class MapInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class StoreInfo:
+    """The map on disk: the revision that was stored last, None before the first, and the bytes of its files.
+
+    `failing` says why the map is not stored at present, None while it is.
+    """
+
+    revision: int | None
+    failing: str | None
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
-    `run` is the id of the mapper's process, "" of an older one that has none.
+    `run` is the id of the mapper's process, "" of an older one that has none. `store` is that of a mapper
+    which stores its map; the JSON of others has none.
     """
 
     map: str
@@ -144,6 +157,7 @@ class Status:
     robots: dict[str, RobotStatus]
     uptime_s: float
     run: str = ""
+    store: StoreInfo | None = None
 
 
 def encode_status(status: Status) -> bytes:
@@ -152,4 +166,7 @@ def encode_status(status: Status) -> bytes:
 
 
 def _by_name(part: Any) -> dict[str, Any]:  # noqa: ANN401 (whichever of the dataclasses above)
-    return {field.name: getattr(part, field.name) for field in fields(part)}
+    said = {field.name: getattr(part, field.name) for field in fields(part)}
+    if isinstance(part, Status) and part.store is None:
+        del said["store"]
+    return said

@@ -1,12 +1,13 @@
 """A status that was read is the one that was sent; mappers of other versions are understood."""
 
+import dataclasses
 import json
 
 import pytest
 
 from ogm_client.errors import BadReply
 from ogm_client.status_reply import read_status
-from ogm_core.status import PoseCounts, SourceStatus, encode_status
+from ogm_core.status import PoseCounts, SourceStatus, StoreInfo, encode_status
 from ogm_core.types import Pose
 from status_json import STATUS
 
@@ -22,6 +23,12 @@ def read(reply):
 def test_what_was_sent_is_read():
     assert read(sent()) == STATUS
     assert encode_status(read(sent())) == encode_status(STATUS)
+
+
+@pytest.mark.parametrize("store", [StoreInfo(None, "a full disk", 0), StoreInfo(40, None, 4096)])
+def test_what_a_mapper_says_of_its_store_is_read(store):
+    status = dataclasses.replace(STATUS, store=store)
+    assert read_status(encode_status(status)) == status
 
 
 def test_what_only_a_newer_mapper_says_is_passed_over():

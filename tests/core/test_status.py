@@ -1,12 +1,13 @@
 """The status as JSON: names, values and order are what those who read it rely on."""
 
+import dataclasses
 import subprocess
 import sys
 from dataclasses import FrozenInstanceError
 
 import pytest
 
-from ogm_core.status import RobotStatus, SourceStatus, encode_status
+from ogm_core.status import RobotStatus, SourceStatus, StoreInfo, encode_status
 from ogm_core.types import Pose
 from status_json import STATUS
 
@@ -43,6 +44,13 @@ def test_its_json_is_word_for_word_this():
         b'"dropped": {"no_pose": 5}, "hints": ["range_max"], "lost": 8}}}, '
         b'"r1": {"pose": null, "stamp": null, "alive": false, "age_s": null, "sources": {}}}, '
         b'"uptime_s": 12.25, "run": "r1"}'
+    )
+
+
+def test_what_is_said_of_a_store_is_word_for_word_this_and_only_said_where_there_is_one():
+    stored = dataclasses.replace(STATUS, store=StoreInfo(40, None, 4096))
+    assert encode_status(stored) == (
+        encode_status(STATUS)[:-1] + b', "store": {"revision": 40, "failing": null, "bytes": 4096}}'
     )
 
 

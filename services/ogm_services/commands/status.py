@@ -7,7 +7,7 @@ from typing import NamedTuple
 from rich import box
 from rich.table import Table
 
-from ogm_core.status import PoseCounts, RobotStatus, Status
+from ogm_core.status import PoseCounts, RobotStatus, Status, StoreInfo
 
 WHAT_HELPS: Mapping[str, str] = {
     "malformed": "no scan messages: the mapper's log says what is wrong with them",
@@ -65,6 +65,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
         "known": f"{info.known_cells} cells",
         "memory": f"{info.bytes / 1e6:.1f} MB",
+        "stored": "" if status.store is None else _stored(status.store),
         "up": f"{status.uptime_s:.0f} s",
     }
     for label, value in rows.items():
@@ -130,6 +131,12 @@ def _table(*left: str, right: tuple[str, ...] = ()) -> Table:
 def _poses(poses: PoseCounts) -> str:
     """Those received, and of the odd ones those that there are."""
     return ", ".join([f"{poses.received} received", *(f"{n} {what}" for what, n in poses.odd.items())])
+
+
+def _stored(store: StoreInfo) -> str:
+    """How far the map is on disk, or why not."""
+    stored = "nothing yet" if store.revision is None else f"revision {store.revision}"
+    return f"{stored}, {store.bytes / 1e6:.1f} MB" if store.failing is None else f"{stored}; {store.failing}"
 
 
 def _scans_and_poses(scans: int, poses: int) -> str:

@@ -174,6 +174,7 @@ class Parts:
             *(settings.network.map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set),
             memory=memory,
             in_flight=in_flight,
+            store=None if self.kept_map is None else self.kept_map.info,
         )
         """The threads of the shares ask."""
         memory.add("answers", lambda: in_flight.held, in_flight.limit)

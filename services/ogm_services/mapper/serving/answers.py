@@ -25,7 +25,7 @@ from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.status import Status
+from ogm_core.status import Status, StoreInfo
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
@@ -93,10 +93,11 @@ class Answers:
         ready: Callable[[], bool] = lambda: True,
         memory: MemoryUse | None = None,
         in_flight: InFlight | None = None,
+        store: Callable[[], StoreInfo] | None = None,
     ) -> None:
         """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
 
-        `in_flight` counts what is being made.
+        `in_flight` counts what is being made. `store` tells of the map on disk; None: it is not stored.
         """
         self._map_name = map_name
         self._map = live_map
@@ -105,6 +106,7 @@ class Answers:
         self._started = time.monotonic()
         self._memory = memory
         self._in_flight = in_flight or InFlight()
+        self._store = store
         self._large = threading.Semaphore(LARGE_AT_ONCE)
         self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
         """Bytes of answers that one cache may keep."""
@@ -268,6 +270,7 @@ class Answers:
             map_info=self._map.info(),
             robots=counts.robots,
             uptime_s=time.monotonic() - self._started,
+            store=None if self._store is None else self._store(),
         )
 
 

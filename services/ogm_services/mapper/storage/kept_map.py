@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from ogm_core.errors import BadSetting
+from ogm_core.errors import BadSetting, printable
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.state import StateParts, state_of
+from ogm_core.status import StoreInfo
 from ogm_services.mapper.storage.checkpoints import Checkpoints, Encode, WrittenMap
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver
@@ -44,6 +45,11 @@ class KeptMap:
     def revision(self) -> int | None:
         """Of the map that was stored last; None before the first one."""
         return self._saver.revision
+
+    def info(self) -> StoreInfo:
+        """The status's `store`; waits for nobody."""
+        failing = self.failing
+        return StoreInfo(self.revision, None if failing is None else printable(failing), self._saver.nbytes)
 
     def restored(self, settings: GridSettings, run: str, start_map: Path | None) -> OccupancyGrid | None:
         """The map that is stored, now written by the process `run`; None if there is none.

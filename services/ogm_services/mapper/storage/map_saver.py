@@ -53,6 +53,8 @@ class MapSaver:
         self._failing: str | None = None
         self.revision: int | None = None
         """Of the map that was stored last; None before the first one. Any thread."""
+        self.nbytes = 0
+        """Of the store's files then. Any thread."""
         self._complaints = LimitedLog(log)
 
     def __enter__(self) -> Self:
@@ -162,7 +164,7 @@ class MapSaver:
     def _commit(self, store: MapStore, taken: Taken) -> None:
         if self._failing is not None or taken.placing or not store.holds(taken.checkpoint):
             store.commit(taken.checkpoint, taken.settings, taken.run, taken.placing)
-        self.revision = taken.checkpoint.state.revision
+        self.revision, self.nbytes = taken.checkpoint.state.revision, store.nbytes
 
 
 def _done(job: Callable[[MapStore], Any], done: Future[Any], store: MapStore) -> None:

@@ -67,6 +67,11 @@ class MapStore:
         self._lock.release()
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of its file and its log."""
+        return sum(path.stat().st_size for path in (self.path, self._wal) if path.exists())
+
+    @property
     def empty(self) -> bool:
         """Whether it holds no map.
 
