@@ -25,12 +25,15 @@ def told_as_damage(path: Path, folder: Path) -> Iterator[None]:
 
     Raises:
         BadStore: something is.
+        StoreFails: another program has it open.
     """
     try:
         yield
     except OtherVersion:
         raise
     except (sqlite3.Error, BadStore) as error:
+        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
+            raise StoreFails(f"{path}: another program has it open: end that first") from error
         raise BadStore(
             f"{path} is damaged: {error}: `ogm repair {folder} --out NEW` saves what is intact into a new "
             "store, and tells what is not"

@@ -1,0 +1,72 @@
+"""Stores of every format that a version has written: this one goes on with each, and refuses newer ones."""
+
+import json
+import shutil
+import sqlite3
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ogm_client import RobotPublisher
+from ogm_services.mapper.storage.layout import VERSION
+
+STORES = Path(__file__).parents[1] / "older_stores"
+sys.path.insert(0, str(STORES))
+from write import FLAGS, RUN, SCANS, publish  # noqa: E402
+
+FORMATS = sorted(path for path in STORES.glob("format*"))
+
+
+@pytest.fixture(params=FORMATS, ids=lambda path: path.name)
+def older(request, tmp_path):
+    """What a version of ogm has left: a copy of the store, the map as it was served, the status."""
+    (tmp_path / "data").mkdir()
+    shutil.copy(request.param / "map.sqlite", tmp_path / "data/map.sqlite")
+    with np.load(request.param / "map.npz") as served:
+        return tmp_path / "data", dict(served), json.loads((request.param / "status.json").read_text())
+
+
+def test_there_is_a_store_of_every_format_that_ever_was():
+    assert {path.name for path in FORMATS} == {f"format{number}" for number in range(1, VERSION + 1)}
+    assert sum(file.stat().st_size for path in FORMATS for file in path.iterdir()) < 60_000 * VERSION
+
+
+def test_a_store_that_another_program_has_open_is_not_called_damaged(ogm, older):
+    data, _, _ = older
+    with closing(sqlite3.connect(data / "map.sqlite")) as connection:
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        connection.execute("BEGIN IMMEDIATE")
+        complaint = ogm.mapper("--data", data, *FLAGS).wait().complaint(1)
+    assert complaint == f"ogm: {data}/map.sqlite: another program has it open: end that first\n"
+
+
+def test_a_mapper_goes_on_with_it_cell_by_cell_and_knows_what_was_decided(
+    ogm, eventually, older, assert_equal_maps
+):
+    data, served, told = older
+    mapper = ogm.ready(ogm.mapper("--data", data, *FLAGS))
+    same = ("epoch", "revision", "stamp", "map_info")
+    assert {name: mapper.status()[name] for name in same} == {name: told[name] for name in same}
+    assert_equal_maps(mapper.map(), served)
+
+    with RobotPublisher("r1", address=mapper.endpoint, run=RUN, reliable=True) as robot:
+        robot.wait_for_mapper(30.0)
+        publish(robot, 0, SCANS + 3)  # the first of them under seqs that it has had
+        eventually(lambda: mapper.status()["revision"] == SCANS + 3)
+    scans = mapper.status()["scans"]
+    assert scans["dropped"]["duplicate"] + scans["replayed"] == SCANS
+    assert scans["integrated"] == 3
+    cells = mapper.map()
+    assert mapper.command.stop().code == 0
+    assert_equal_maps(ogm.ready(ogm.mapper("--data", data, *FLAGS)).map(), cells)
+
+
+def test_a_store_of_a_newer_format_is_refused_in_a_line_that_names_both(ogm, older):
+    data, _, _ = older
+    with closing(sqlite3.connect(data / "map.sqlite")) as connection:
+        connection.execute(f"PRAGMA user_version = {VERSION + 1}")
+    complaint = ogm.mapper("--data", data, *FLAGS).wait().complaint(2)
+    assert f"in format {VERSION + 1}; this one reads format {VERSION}: use the newer one" in complaint

@@ -1,0 +1,72 @@
+"""`python tests/older_stores/write.py`: writes the store of this version's format, for later ones to go on.
+
+Once for a format, by the version that brings it: format<N>/ has what a mapper stored (map.sqlite), the map
+that it served (map.npz), and what it said of it (status.json).
+"""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+
+from ogm_client import RobotPublisher
+from ogm_services.mapper.storage.layout import FILE, VERSION
+
+FLAGS = ("--resolution", "0.1", "--sensor-model", "beam", "--traversal", "bresenham", "--cells", "int16")
+"""Those that a mapper needs to go on with it."""
+SWEEP = {"angle_min": -np.pi, "angle_increment": np.pi / 45, "range_min": 0.1, "range_max": 6.0}
+STAMP = 1_700_000_000_000_000_000
+RUN = "run1"
+SCANS = 12
+
+
+def publish(robot, first, last):
+    """Scans of a sensor with a pose before and after each, under seqs of their own."""
+    bearings = SWEEP["angle_min"] + SWEEP["angle_increment"] * np.arange(90)
+    robot.publish_pose(0.2 * first, 0.0, 0.1 * first, stamp=STAMP + first * 10**8)
+    for k in range(first, last):
+        ranges = 4.0 + np.sin(3.0 * bearings + k) + np.where(bearings > 2.5, np.inf, 0.0)
+        robot.publish_scan(ranges.astype(np.float32), **SWEEP, stamp=STAMP + k * 10**8 + 10**7)
+        robot.publish_pose(0.2 * (k + 1), 0.0, 0.1 * (k + 1), stamp=STAMP + (k + 1) * 10**8)
+
+
+def main():
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder, "data")
+        command = [sys.executable, "-m", "ogm_services", "mapper", "--http-port", "0"]
+        command += ["--listen", "tcp/127.0.0.1:0", "--data", data, *FLAGS]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as mapper:
+            endpoint, url = (re.search(r"(\S+)$", mapper.stdout.readline())[1] for _ in range(2))
+            with RobotPublisher("r1", address=endpoint, run=RUN, reliable=True) as robot:
+                robot.wait_for_mapper(30.0)
+                publish(robot, 0, SCANS)
+                for waits in (
+                    lambda said: said["scans"]["integrated"] < SCANS,
+                    lambda said: not said["map_info"]["known_cells"],
+                ):
+                    while waits(json.loads(body(url, "status"))):
+                        time.sleep(0.01)
+                files = {"map.npz": body(url, "map.npz"), "status.json": body(url, "status")}
+            mapper.send_signal(signal.SIGTERM)
+        out = Path(__file__).with_name(f"format{VERSION}")
+        out.mkdir()
+        shutil.copy(data / FILE, out / FILE)
+        for name, content in files.items():
+            (out / name).write_bytes(content)
+
+
+def body(url, path):
+    with urllib.request.urlopen(url + path, timeout=30) as answer:
+        return answer.read()
+
+
+if __name__ == "__main__":
+    main()
