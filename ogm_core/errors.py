@@ -3,6 +3,7 @@
 OgmError
 +-- BadInput              something given to us is wrong: the text says what, and what to do
 |   +-- BadMessage        a payload is not a Pose or Scan
+|   +-- BadCdr            a ROS 2 payload is not the message that its topic carries
 |   +-- BadParameter      a request's parameter is unknown, ill-formed or out of range
 |   +-- BadSetting        a map setting contradicts itself or is out of range
 |   +-- BadRecording      a log cannot be read, or holds no scan
@@ -11,9 +12,13 @@ OgmError
 |   +-- BadStore          a map's store on disk is damaged, or of another version
 +-- ScanRefused           a well-formed scan is not integrated
 |   +-- NoPose            its robot's poses do not tell where it was taken
+|   |   +-- NoTransform   the transforms between ROS 2 frames do not tell it
+|   |       +-- NoTransformYet   and those to come may
+|   +-- Tilted            its sensor does not look along the floor
 |   +-- Stale             it lies before the robot's oldest kept pose
 |   +-- LimitReached      it would stretch the map past its limits; so would a map to start with
 |   +-- OutsideBounds     every beam leaves bounds that drop such beams
++-- MissingExtra          a package that only some need is not installed
 +-- DiskFull              there is no room for a file that is to be written
 +-- MapEmpty              there is no known cell to draw
 """
@@ -51,6 +56,12 @@ class BadMessage(BadInput):
     """A payload is not a well-formed Pose or Scan."""
 
     slug = "bad-message"
+
+
+class BadCdr(BadInput):
+    """A ROS 2 payload is damaged, or not of the type that its topic carries."""
+
+    slug = "bad-cdr"
 
 
 class BadParameter(BadInput):
@@ -106,6 +117,20 @@ class NoPose(ScanRefused):
     slug = "no_pose"
 
 
+class NoTransform(NoPose):
+    """Nothing is known of a transform between two frames of ROS 2; the text names both."""
+
+
+class NoTransformYet(NoTransform):
+    """Nothing is known of it so far: what comes later may tell."""
+
+
+class Tilted(ScanRefused):
+    """A scan's sensor does not look along the floor, so that its beams are no lines of a floor plan."""
+
+    slug = "tilted"
+
+
 class Stale(ScanRefused):
     """A scan's stamp lies before the oldest kept pose of its robot."""
 
@@ -126,6 +151,12 @@ class OutsideBounds(ScanRefused):
     """Every beam that counts starts or ends outside the bounds of a map that drops such beams."""
 
     slug = "outside"
+
+
+class MissingExtra(OgmError):
+    """A package that only some need is not installed; the text says how to."""
+
+    slug = "missing-extra"
 
 
 class DiskFull(OgmError):

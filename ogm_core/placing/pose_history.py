@@ -26,8 +26,9 @@ _new = tuple.__new__  # Pose() takes three times as long
 _write_pose = Struct("3d").pack_into
 _read_pose = Struct("3d").unpack_from
 _read_two = Struct("6d").unpack_from
-_NEAR_M = 0.01
-_NEAR_RAD = math.radians(0.5)
+NEAR_M = 0.01
+NEAR_RAD = math.radians(0.5)
+"""Poses that are within both of each other are nearly equal: a gap between them does not matter."""
 
 
 class HistoryState(NamedTuple):
@@ -240,8 +241,8 @@ def _no_pose(reason: Reason) -> NoPose:
 def nearly_equal(one: Pose, other: Pose) -> bool:
     """Whether two poses are within 1 cm and 0.5 degrees of each other."""
     return (
-        math.hypot(other.x - one.x, other.y - one.y) <= _NEAR_M
-        and abs(shorter_arc(one.theta, other.theta)) <= _NEAR_RAD
+        math.hypot(other.x - one.x, other.y - one.y) <= NEAR_M
+        and abs(shorter_arc(one.theta, other.theta)) <= NEAR_RAD
     )
 
 
