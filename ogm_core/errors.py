@@ -10,6 +10,7 @@ OgmError
 |   +-- BadWorld          a simulated world's description is wrong
 |   +-- BadMapFile        a map file (YAML and picture, or NPZ) cannot be read, or is not one
 |   +-- BadStore          a map's store on disk is damaged, or of another version
+|   +-- MissingExtra      what is asked for needs a package that is not installed
 +-- ScanRefused           a well-formed scan is not integrated
 |   +-- NoPose            its robot's poses do not tell where it was taken
 |   |   +-- NoTransform   the transforms between ROS 2 frames do not tell it
@@ -18,7 +19,6 @@ OgmError
 |   +-- Stale             it lies before the robot's oldest kept pose
 |   +-- LimitReached      it would stretch the map past its limits; so would a map to start with
 |   +-- OutsideBounds     every beam leaves bounds that drop such beams
-+-- MissingExtra          a package that only some need is not installed
 +-- DiskFull              there is no room for a file that is to be written
 +-- MapEmpty              there is no known cell to draw
 """
@@ -100,6 +100,12 @@ class BadStore(BadInput):
     slug = "bad-store"
 
 
+class MissingExtra(BadInput):
+    """What is asked for needs a package that is not installed, as only some need it; the text says which."""
+
+    slug = "missing-extra"
+
+
 class ScanRefused(OgmError):
     """A well-formed scan is not integrated; the slug is the reason that it is counted under."""
 
@@ -151,12 +157,6 @@ class OutsideBounds(ScanRefused):
     """Every beam that counts starts or ends outside the bounds of a map that drops such beams."""
 
     slug = "outside"
-
-
-class MissingExtra(OgmError):
-    """A package that only some need is not installed; the text says how to."""
-
-    slug = "missing-extra"
 
 
 class DiskFull(OgmError):
