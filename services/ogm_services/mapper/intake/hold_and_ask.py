@@ -185,8 +185,8 @@ class HoldAndAsk:
                 return
             if not whole and (progress or fails < ASKS - 1):
                 robot.again = True  # it stays held, whether or not anything has come that is
-            gap = robot.drain()
-            if (gap or not whole) and not progress:
+            gap, handed_on = robot.drain()
+            if not progress and ((gap and not handed_on) or not whole):
                 fails += 1
                 if fails < ASKS:
                     self._stopping.wait(PAUSES[fails - 1])

@@ -103,6 +103,12 @@ class Numbering:
             self._expected = number_of(known.last + 1, run)
         return range(0) if last is None or seq <= last + 1 + unread else range(last + 1, seq)
 
+    def begin_at(self, run: str, seq: int) -> range:
+        """Note that what is missing before a message will not come; return the seqs that are given up."""
+        known = self._of(run)
+        last, known.last, self.unread, self._expected = known.last, seq - 1, 0, b""
+        return range(0) if last is None else range(last + 1, seq)
+
     def is_twin(self, run: str, seq: int, stamp: int) -> bool:
         """Whether this very message was handed on out of a cache already."""
         known = self._runs.get(run)

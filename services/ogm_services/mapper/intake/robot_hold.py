@@ -135,6 +135,8 @@ class RobotHold:
         self._intake = intake
         self._held: deque[Held] | None = None
         """What came, in order of arrival; None while it is not held."""
+        self._held_seqs: dict[tuple[str | None, str], tuple[int, int]] = {}
+        """The seqs of the first and the last one that is held, by sensor and run."""
         self._all_bytes = held_bytes
         self._bytes = 0
         self._sources: dict[str | None, _Source] = {}
@@ -237,6 +239,10 @@ class RobotHold:
     def take_cached(self, message: Cached, now: float, room: Callable[[], bool], *, follows: bool) -> bool:
         """Hand on a message out of a cache, unless that was done; whether it was new.
 
+        What came by itself while the robot is held is left for then: it is in the order in which it was
+        published, poses before the scans that need them, whenever each cache answered. What follows that and
+        has not come is asked for once more.
+
         `room` waits until there is some; False: it is not to be handed on. `follows`: the cache has nothing
         of what is missing before it.
 
@@ -258,6 +264,12 @@ class RobotHold:
         if standing is Standing.OLD:
             self._intake.replayed(source)
             return False
+        first_held, last_held = self._held_seqs.get((source.sensor, run), (seq + 1, seq))
+        if seq >= first_held:
+            if seq == first_held and (standing is Standing.GAP or standing is Standing.BEGINNING):
+                self._give_up(source, run, known.numbering.begin_at(run, seq))
+            self.again = self.again or seq > last_held
+            return False
         if self._decided.is_decided(*source, run, seq):
             self._intake.replayed(source)
         elif room():
@@ -267,23 +279,30 @@ class RobotHold:
         self._give_up(source, run, known.numbering.take(run, seq, twin=stamp))
         return True
 
-    def drain(self, until: float | None = None) -> bool:
+    def drain(self, until: float | None = None) -> tuple[bool, bool]:
         """Hand on what is held, up to a gap, which ends it; what came up to `until` whatever is missing.
 
-        Whether it has met a gap. Without one the robot is held no longer, unless it is to be asked again.
+        Whether it has met a gap, and whether anything was handed on. Without a gap the robot is held no
+        longer, unless it is to be asked again.
         """
+        progress = False
         while True:
             with self.lock:
                 if not self._held:
                     self._held = self._held if self.again else None
-                    return False
+                    self._held_seqs.clear()
+                    return False, progress
                 item = self._held[0]
                 if item.command is not None:
                     item.command()
                 else:
                     forced = until is not None and item.came <= until
                     if not self._handed_on(self._sources[item.source.sensor], item, forced=forced):
-                        return True
+                        self._held_seqs.clear()
+                        for held in self._held:
+                            self._note_seq(held)
+                        return True, progress
+                    progress = True
                 self._held.popleft()
                 self._count(item, -1)
 
@@ -292,6 +311,7 @@ class RobotHold:
         with self.lock:
             while self._held:
                 self._count(self._held.popleft(), -1)
+            self._held_seqs.clear()
 
     def _handed_on(self, known: _Source, item: Held, *, forced: bool = False) -> bool:
         """Hand on a message that came by itself, unless others are missing before it; `forced`: even then."""
@@ -322,6 +342,7 @@ class RobotHold:
         if self._held is None:
             self._held = deque()
         self._held.append(item)
+        self._note_seq(item)
         self._count(item, 1)
         while len(self._held) > 1 and (self._bytes > MAX_BYTES / 4 or self._all_bytes.all > MAX_BYTES):
             gone = self._held.popleft()
@@ -330,6 +351,15 @@ class RobotHold:
                 gone.command()
             elif gone.head is None or not gone.head[2]:
                 self._intake.lost(gone.source, 1, "", range(0))  # nobody would miss it
+            else:
+                _, last = self._held_seqs[gone.source.sensor, gone.head[2]]
+                self._held_seqs[gone.source.sensor, gone.head[2]] = gone.head[1] + 1, last
+
+    def _note_seq(self, item: Held) -> None:
+        if item.head is not None:
+            _, seq, run = item.head
+            first, _ = self._held_seqs.get((item.source.sensor, run), (seq, seq))
+            self._held_seqs[item.source.sensor, run] = first, seq
 
     def _count(self, item: Held, sign: int) -> None:
         size = sign * (len(item.payload) + _MESSAGE_BYTES)
