@@ -158,10 +158,10 @@ def test_a_world_that_costs_too_much_is_judged_in_part_and_costs_no_more(monkeyp
     steep = ", ".join(f"[{k * 0.02:.2f}, -5, {k * 0.02 + 1:.2f}, 70]" for k in range(2000))
     marked, mark = [], truth_module._mark
 
-    def counted(occupied, runs):
+    def counted(occupied, runs, between):
         rows, first, last = runs
         marked.append(len(rows) + int(np.maximum(last - first + 1, 0).sum()))
-        mark(occupied, runs)
+        mark(occupied, runs, between)
 
     monkeypatch.setattr(truth_module, "_mark", counted)
     for walls in (level, steep):

@@ -2,6 +2,7 @@
 
 import signal
 import sqlite3
+from contextlib import closing
 
 import httpx
 import pytest
@@ -114,7 +115,7 @@ def test_a_damaged_store_is_refused_and_repair_is_named(ogm, eventually, data):
     mapper = started(ogm, data)
     drive(mapper, eventually, 0, 2)
     mapper.command.stop()
-    with sqlite3.connect(data / "map.sqlite") as connection:
+    with closing(sqlite3.connect(data / "map.sqlite")) as connection, connection:
         connection.execute("UPDATE tiles SET record = zeroblob(length(record)) WHERE rowid = 1")
         assert connection.total_changes == 1
     assert f"ogm repair {data} --out" in ogm.mapper("--data", data).wait().complaint(2)
