@@ -1,7 +1,7 @@
 """`python -m benchmarks`: run the benchmarks, show their table and keep it, the targets in docs, too.
 
 `--quick` takes fewer scans and rounds; its table goes to build/benchmarks, as does that of some benchmarks
-chosen by their names.
+chosen by their names. What a stored map costs stands in docs/stored.md, if it is not measured quickly.
 """
 
 import argparse
@@ -19,6 +19,8 @@ from docs.variants import with_table
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
+PAGES = {"stored": ROOT / "docs" / "stored.md"}
+"""Pages with the table of one benchmark, by its name."""
 BENCHMARKS = (
     "integration",
     "threads",
@@ -29,6 +31,7 @@ BENCHMARKS = (
     "hostile_http",
     "build_speed",
     "memory",
+    "stored",
     "start_up",
 )
 """Modules of this package, each with `run(quick: bool) -> list[Result]`."""
@@ -48,14 +51,22 @@ def main() -> None:
         if run is None:
             print(f"{name}: not there, left out")
             continue
-        results += run(arguments.quick)
+        found = run(arguments.quick)
+        if name in PAGES and not arguments.quick:
+            show(PAGES[name], name, f"Measured on {machine()}.\n\n{targets(found)}")
+        results += found
     print(as_text(results))
     whole = not (arguments.quick or arguments.names)
     folder = ROOT / ("benchmarks/results" if whole else "build/benchmarks")
     keep(results, folder, f"Measured on {machine()}")
     if whole:
-        PAGE.write_text(with_table(PAGE.read_text("utf-8"), "speed", targets(results)), encoding="utf-8")
+        show(PAGE, "speed", targets(results))
     print(f"kept in {folder.relative_to(ROOT)}")
+
+
+def show(page: Path, name: str, table: str) -> None:
+    """Write a table into a page, between its marks."""
+    page.write_text(with_table(page.read_text("utf-8"), name, table), encoding="utf-8")
 
 
 def benchmark(name: str) -> Callable[[bool], list[Result]] | None:
