@@ -170,9 +170,16 @@ class OccupancyGrid:
         """How much the next copy has to copy."""
         return uncopied_tiles(self._store, self._copies) * self._store.tile_bytes
 
-    def checkpoint(self) -> Checkpoint:
-        """The map as it is now, for a store; only tiles that were written since the last copy are copied."""
-        self._copies = copy_tiles(self._store, self.revision, self._copies, giving_up=False)
+    def room_for_checkpoint(self) -> Callable[[], Tiles]:
+        """What makes memory ready for the next checkpoint: call it while another thread goes on writing."""
+        return partial(room_for, self._store, self._copies, giving_up=False)
+
+    def checkpoint(self, room: Tiles | None = None) -> Checkpoint:
+        """The map as it is now, for a store.
+
+        Only tiles that were written since the last copy are copied, into `room` if it is large enough.
+        """
+        self._copies = copy_tiles(self._store, self.revision, self._copies, room, giving_up=False)
         state = MapState(
             *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect)
         )

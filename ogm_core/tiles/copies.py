@@ -90,13 +90,13 @@ class TileCopies:
         return found
 
 
-def room_for(store: TileStore, before: TileCopies | None) -> Tiles:
-    """Memory for the tiles that `copy_tiles` would copy now, and some more.
+def room_for(store: TileStore, before: TileCopies | None, *, giving_up: bool = True) -> Tiles:
+    """Memory for the tiles that `copy_tiles`, with or without `giving_up`, would copy now, and some more.
 
     It is there when it returns: copying into new memory takes many times longer than copying. Another thread
     may write the store meanwhile, since the number is a guess.
     """
-    stale = int(np.count_nonzero(_to_copy(store, before)[3]))
+    stale = int(np.count_nonzero(_to_copy(store, before, giving_up=giving_up)[3]))
     if stale <= _FEW:
         return {}
     return {

@@ -11,7 +11,7 @@ from ogm_core.errors import BadStore
 from ogm_core.tiles import store as store_module
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.storage import checkpoints as module
-from ogm_services.mapper.storage.checkpoints import LITTLE, Checkpoints
+from ogm_services.mapper.storage.checkpoints import LITTLE, MUCH, Checkpoints
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver
 from ogm_services.mapper.storage.map_store import MapStore
@@ -130,9 +130,9 @@ def test_however_much_has_changed_the_worker_copies_little(cells, monkeypatch):
     writer.live.snapshot()
     copied, copy = [], writer.grid.checkpoint
 
-    def counted():
+    def counted(room):
         copied.append(writer.grid.uncopied_bytes)
-        return copy()
+        return copy(room)
 
     monkeypatch.setattr(writer.grid, "checkpoint", counted)
     passes = 3
@@ -153,9 +153,10 @@ def test_however_much_has_changed_the_worker_copies_little(cells, monkeypatch):
     def copy_ahead():
         if passes > 0:
             write_meanwhile()
-        ahead()
+        room = ahead()
         if passes > 0:
             write_meanwhile()
+        return room
 
     monkeypatch.setattr(writer.live, "copy_ahead", copy_ahead)
     working = threading.Event()
@@ -172,7 +173,7 @@ def test_however_much_has_changed_the_worker_copies_little(cells, monkeypatch):
         working.set()
         worker.join()
     assert taken.checkpoint.state.revision == writer.grid.revision
-    assert 1200 * tile > LITTLE
+    assert 1200 * tile > MUCH
     assert max(copied) <= LITTLE
     twin = grid_of(LogOdds(cells))
     twin.restore(taken.checkpoint.state, taken.checkpoint.tiles_since(0))

@@ -123,21 +123,29 @@ class LiveMap:
             self._state = self._told()
             self._recent.clear()
 
-    def copy_ahead(self) -> None:
-        """Copy what has changed while the writer goes on: `checkpoint` has next to nothing left to copy."""
+    def copy_ahead(self) -> Tiles:
+        """Copy what has changed while the writer goes on: `checkpoint` has next to nothing left to copy.
+
+        Returns memory for that.
+        """
         with self._writing:
             ahead = self._grid.copy_ahead()
         made = ahead.made()
         with self._writing:
             self._grid.take_ahead(ahead, made)
+            make_room = self._grid.room_for_checkpoint()
+        return make_room()
 
-    def checkpoint(self, most: int | None = None) -> Checkpoint | None:
-        """Writer: the map as it is now, for a store; None if more than `most` bytes were to be copied."""
+    def checkpoint(self, most: int | None = None, room: Tiles | None = None) -> Checkpoint | None:
+        """Writer: the map as it is now, for a store; None if more than `most` bytes were to be copied.
+
+        They are copied into `room` if it is large enough: into new memory that takes many times longer.
+        """
         with self._writing:
             # Before the first scan what the map began with counts as uncopied, and nobody waits for the lock.
             if most is not None and self._grid.revision and self._grid.uncopied_bytes > most:
                 return None
-            return self._grid.checkpoint()
+            return self._grid.checkpoint(room)
 
     @property
     def now(self) -> Identity:

@@ -10,14 +10,17 @@ from typing import Protocol
 
 from ogm_core.grid_settings import GridSettings
 from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_core.tiles.copies import Tiles
 from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import Taken
 
 LITTLE = MEBIBYTE
-"""So much the worker copies itself, bytes: some tenths of a millisecond."""
-TRIES = 6
-"""So often little is waited for; then the worker copies what there is."""
+"""So much the worker copies itself, bytes: some tenths of a millisecond. If that is too little, twice that."""
+MUCH = 8 * MEBIBYTE
+"""... and so on, up to so much: some milliseconds."""
+TRIES = 12
+"""So often no more is waited for; then the worker copies what there is."""
 LOOK_PERIOD = 0.1
 """How often it is looked whether the worker has stopped, s."""
 PATIENCE = 10.0
@@ -30,10 +33,10 @@ _Taken = tuple[Checkpoint, Encode]
 class WrittenMap(Protocol):
     """A map while it is written (a `live.live_map.LiveMap`)."""
 
-    def copy_ahead(self) -> None:
-        """Copy what has changed while the writer goes on."""
+    def copy_ahead(self) -> Tiles:
+        """Copy what has changed while the writer goes on; memory for what the writer has to copy then."""
 
-    def checkpoint(self, most: int | None = None) -> Checkpoint | None:
+    def checkpoint(self, most: int | None = None, room: Tiles | None = None) -> Checkpoint | None:
         """Writer: the map as it is now; None if more than `most` bytes would have to be copied."""
 
 
@@ -52,6 +55,7 @@ class Checkpoints:
         self._run = run
         self._placing = placing
         self._most: int | None = LITTLE
+        self._room: Tiles | None = None
         self._wanted: Future[_Taken | None] | None = None
         self._stopped = False
 
@@ -79,8 +83,8 @@ class Checkpoints:
             StoreFails: the worker has not come to it for PATIENCE.
         """
         for attempt in range(TRIES):
-            self._most = LITTLE if attempt + 1 < TRIES else None
-            self._live_map.copy_ahead()
+            self._most = min(LITTLE << attempt, MUCH) if attempt + 1 < TRIES else None
+            self._room = self._live_map.copy_ahead()
             taken = self._asked_for()
             if taken is not None:
                 checkpoint, encode = taken
@@ -101,5 +105,6 @@ class Checkpoints:
                 raise StoreFails(f"the mapper has been at one message for {PATIENCE:g} s")
 
     def _taken(self) -> _Taken | None:
-        checkpoint = self._live_map.checkpoint(self._most)
+        room, self._room = self._room, None
+        checkpoint = self._live_map.checkpoint(self._most, room)
         return None if checkpoint is None else (checkpoint, self._placing())
