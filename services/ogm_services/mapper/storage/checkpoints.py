@@ -16,7 +16,7 @@ from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import Taken
 
 LITTLE = MEBIBYTE
-"""So much the worker copies itself, bytes: some tenths of a millisecond. If that is too little, twice that."""
+"""So much the worker copies itself, bytes: some tenths of a millisecond; twice that if that is too little."""
 MUCH = 8 * MEBIBYTE
 """... and so on, up to so much: some milliseconds."""
 TRIES = 12
