@@ -1,69 +1,66 @@
-"""A robot that goes on publishing while its mapper is killed: all of its scans are in the map in the end."""
+"""No scan is lost, and none is taken twice, whatever is killed or frozen: the map is that of all scans.
+
+Each of these is longer, with more kills, in `make soak ARGS=missed`.
+"""
 
 import signal
-import threading
-import time
 
-import httpx
 import pytest
 
-from ogm_client import RobotPublisher
-
-SWEEP = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.0, "range_max": 9.0}
-STAMP = 10**18
-RATE = 40.0
-
-
-class Drive(threading.Thread):
-    """A robot at 40 Hz, poses and scans on keys of their own, until it is stopped."""
-
-    def __init__(self, endpoint, scans):
-        super().__init__()
-        self._robot = RobotPublisher("r1", address=endpoint, run="drive", cache_samples=5000)
-        self._scans = scans
-        self.sent = 0
-        self.finish = threading.Event()
-
-    def run(self):
-        began = time.monotonic()
-        for k in range(self._scans):
-            stamp = STAMP + int(k * 1e9 / RATE)
-            self._robot.publish_pose(0.01 * k, 0.0, 0.02 * k, stamp=stamp)
-            self._robot.publish_scan([2.0 + 0.01 * (k % 50)] * 20, **SWEEP, stamp=stamp)
-            self.sent += 1
-            time.sleep(max(0.0, began + (k + 1) / RATE - time.monotonic()))
-        self.finish.wait(120.0)
-        self._robot.close()
+from tests.soak.missed import (
+    mapper_frozen,
+    mapper_killed,
+    robots_frozen,
+    robots_killed,
+    robots_stopped,
+    router_killed,
+)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_the_map_after_kills_is_that_of_all_scans(ogm, endpoint, eventually, tmp_path, number):
-    scans = 600
-    mapper = ogm.ready(ogm.mapper("--listen", endpoint, "--data", tmp_path / "data"))
-    drive = Drive(endpoint, scans)
-    drive.start()
-    try:
-        for sent in (150, 350):
-            eventually(lambda sent=sent: drive.sent >= sent, 60.0)
-            mapper.command.process.send_signal(number)
-            mapper.command.process.wait()
-            mapper = ogm.ready(ogm.mapper("--listen", endpoint, "--data", tmp_path / "data"))
-        eventually(lambda: mapper.status()["revision"] >= scans, 60.0)
-        status = mapper.status()
-        assert status["revision"] == scans
-        assert status["scans"]["lost"] == 0
-        served = httpx.get(f"{mapper.url}map.npz", timeout=30.0).content
-    finally:
-        drive.finish.set()
-        drive.join()
-    mapper.command.stop()
+def test_a_mapper_that_is_killed_five_times_has_every_scan_of_a_robot_at_40_hz(tmp_path):
+    found = mapper_killed(tmp_path, 5, robots=1, rate=40.0)
+    assert found.right, found
+    assert found.sent > 400
 
-    again = ogm.ready(ogm.mapper("--listen", endpoint))
-    calm = Drive(endpoint, scans)
-    calm.start()
-    try:
-        eventually(lambda: again.status()["revision"] == scans, 60.0)
-    finally:
-        calm.finish.set()
-        calm.join()
-    assert httpx.get(f"{again.url}map.npz", timeout=30.0).content == served
+
+@pytest.mark.parametrize("rate", [2.0, 10.0])
+def test_a_hundred_robots_that_publish_when_they_and_the_mapper_declare_lose_nothing(tmp_path, rate):
+    found = mapper_killed(tmp_path, 2, robots=100, rate=rate)
+    assert found.right, found
+    assert found.sent > 200 * rate
+
+
+def test_a_mapper_that_is_stopped_has_every_scan_as_well(tmp_path):
+    found = mapper_killed(tmp_path, 1, robots=4, rate=40.0, number=signal.SIGTERM)
+    assert found.right, found
+    assert found.sent > 200
+
+
+def test_a_mapper_that_is_frozen_for_10_s_has_every_scan(tmp_path):
+    found = mapper_frozen(tmp_path, 10.0, robots=4, rate=40.0)
+    assert found.right, found
+    assert found.sent > 1000
+
+
+def test_robots_that_are_frozen_lose_nothing(tmp_path):
+    found = robots_frozen(tmp_path, 3.0, robots=4, rate=40.0)
+    assert found.right, found
+    assert found.sent > 160
+
+
+def test_robots_that_are_killed_and_started_again_lose_nothing_that_had_left_them(tmp_path):
+    found = robots_killed(tmp_path, 1, rate=40.0)
+    assert found.right, found
+    assert found.sent > 160
+
+
+def test_a_router_that_is_killed_and_started_again_loses_nothing(tmp_path):
+    found = router_killed(tmp_path, 2, robots=4, rate=40.0)
+    assert found.right, found
+    assert found.sent > 500
+
+
+def test_robots_that_stop_while_the_mapper_is_away_lose_nothing(tmp_path):
+    found = robots_stopped(tmp_path, robots=4, rate=40.0)
+    assert found.right, found
+    assert found.sent > 160

@@ -1,192 +1,258 @@
-"""What a mapper misses while it, or what carries its messages, is away: asked for, and taken once."""
+"""What a mapper misses while it, or what carries its messages, is away: all of it is in its map in the end.
 
-import itertools
+`ogm mapper --data` and robots, each a process, one of which is killed, frozen or stopped. The map is held
+against the one that the robots' scans make where nothing ever goes wrong.
+"""
+
 import random
 import signal
-import threading
 import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
-from ogm_client import RobotPublisher
-from ogm_client.session import NetworkConfig, open_session, resolve_listen
-from tests.noting_mapper import MAP_NAME, NotingMapper, Process
+from ogm_client.session import resolve_listen
+from ogm_core.files.map_files import read_npz
+from tests.soak.drives import uninterrupted
+from tests.soak.overload import differing
+from tests.soak.services import Mapper, Robots, Service
 
 SETTLED = 60.0
 """How long a mapper may take until it has taken everything, s."""
-SWEEP = {"angle_min": -1.57, "angle_increment": 0.035, "range_min": 0.1, "range_max": 30.0}
-BEAMS = 90
-CACHED_S = 120.0
-"""What robots keep, s: more than a busy machine takes for a few starts in a row that are killed at once."""
-_ROBOTS_A_SESSION = 10
-
-
-class Robots:
-    """Robots that publish poses and scans of the same stamps from threads of this process, until `stop`."""
-
-    def __init__(self, endpoint, count, rate, starting=0.0):
-        """`count` robots at `rate` Hz that start one by one within `starting` s, and wait for nobody."""
-        self.sent = {f"robot{k}": 0 for k in range(count)}
-        self._endpoint, self._period, self._starting = endpoint, 1.0 / rate, starting
-        self._open = ExitStack()
-        self._stopping = threading.Event()
-        names = list(self.sent)
-        groups = [names[k : k + _ROBOTS_A_SESSION] for k in range(0, count, _ROBOTS_A_SESSION)]
-        self._threads = [threading.Thread(target=self._run, args=(group, len(names))) for group in groups]
-        for thread in self._threads:
-            thread.start()
-
-    def stop(self):
-        """Publish no more; what was published is still kept."""
-        self._stopping.set()
-        for thread in self._threads:
-            thread.join()
-
-    def close(self):
-        """Go away."""
-        self.stop()
-        self._open.close()
-
-    def _run(self, names, of):
-        network = NetworkConfig(connect=(self._endpoint,), connect_timeout=SETTLED)
-        session = self._open.enter_context(open_session(network))
-        began, robots = time.monotonic(), {}
-        turns = sorted(
-            (began + self._starting * int(name[5:]) / of + self._period * random.random(), name)
-            for name in names
-        )
-        while not self._stopping.wait(max(0.0, turns[0][0] - time.monotonic())):
-            due, name = turns.pop(0)
-            if name not in robots:
-                robots[name] = self._open.enter_context(
-                    RobotPublisher(
-                        name, session=session, map_name=MAP_NAME, cache_samples=round(CACHED_S / self._period)
-                    )
-                )
-            stamp = self.sent[name]
-            robots[name].publish_pose(0.0, 0.0, 0.0, stamp=stamp)
-            robots[name].publish_scan([1.0] * BEAMS, sensor="laser", stamp=stamp, **SWEEP)
-            self.sent[name] += 1
-            turns.append((due + self._period, name))
-            turns.sort()
+SEED = 13
+TELLING = {"resolution": 0.1, "l_min": -1e6, "l_max": 1e6, "cells": "float64", "p_free": 0.41}
+"""Cells that are sums without clamps, rounded after each scan: one that is missing, twice or late shows."""
 
 
 @dataclass
 class Outcome:
-    """What became of poses and scans, counted over all robots."""
+    """What became of the scans of all robots, and what shows that there was something to miss."""
 
-    sent: int
-    taken: int
-    missing: int
-    doubled: int
-    out_of_order: int
-    lost: int
-    replayed: int
+    sent: int = 0
+    integrated: int = 0
+    wrong_cells: int = 0
+    away: list[int] = field(default_factory=list)
+    """Of every fault, scans that were published while the mapper could not take them."""
+    counted: Counter[str] = field(default_factory=Counter)
+    """Of all the mapper's lives: scans dropped by reason, odd poses, and what was lost and came again."""
 
     @property
-    def right(self):
-        """Whether each was taken once, in its key's order."""
-        return (self.taken, self.missing, self.doubled, self.out_of_order, self.lost) == (
-            self.sent,
-            0,
-            0,
-            0,
-            0,
-        )
+    def lost(self) -> int:
+        """Scans and poses that nobody had any more."""
+        return self.counted["scans lost"] + self.counted["poses lost"]
+
+    @property
+    def replayed(self) -> int:
+        """Scans and poses that came again."""
+        return self.counted["scans replayed"] + self.counted["poses replayed"]
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Scans that were dropped, by reason, and odd poses by what is odd about them."""
+        others = ("scans lost", "poses lost", "scans replayed", "poses replayed")
+        return {what: count for what, count in self.counted.items() if count and what not in others}
+
+    @property
+    def right(self) -> bool:
+        """Whether each scan is in the map once, at its place, and nothing else is."""
+        return (self.integrated, self.dropped, self.lost, self.wrong_cells) == (self.sent, {}, 0, 0)
 
 
-def outcome(noted, sent):
-    """Compare what was noted with how many poses, and scans, each robot has sent."""
-    found = Outcome(
-        2 * sum(sent.values()), 0, 0, 0, 0, sum(noted.lost.values()), sum(noted.replayed.values())
-    )
-    for robot, count in sent.items():
-        for key in ("pose", "laser"):
-            seqs = noted.seqs(robot, key)
-            found.taken += len(seqs)
-            found.missing += len(set(range(count)) - set(seqs))
-            found.doubled += len(seqs) - len(set(seqs))
-            found.out_of_order += sum(later < seq for seq, later in itertools.pairwise(seqs))
-    return found
+@dataclass
+class Scene:
+    """A mapper, its robots, and maybe a router between them."""
+
+    mapper: Mapper
+    robots: Robots
+    router: Service | None
+    found: Outcome = field(default_factory=Outcome)
+    over: list[dict[int, int]] = field(default_factory=list)
+    """Scans of each robot in runs that are over."""
+
+    @property
+    def sent(self) -> int:
+        """Scans that all robots of this run have published."""
+        return sum(self.robots.sent().values())
+
+    def note_away(self, count: int) -> None:
+        """Note what the mapper could not take during a fault."""
+        assert count > 0, "nothing was published meanwhile"
+        self.found.away.append(count)
+
+    def settled(self) -> Outcome:
+        """Stop the robots, wait until the mapper has all, and compare."""
+        runs = [*self.over, self.robots.stop()]
+        sent = {robot: [run[robot] for run in runs] for robot in runs[-1]}
+        self.found.sent = sum(map(sum, sent.values()))
+        within(SETTLED, lambda: self._has_all(self.found.sent))
+        served, self.found.integrated = self.mapper.map()
+        self.found.wrong_cells = differing(read_npz(served), uninterrupted(sent, TELLING))
+        self.mapper.end()
+        self.found.counted = self.mapper.counted
+        return self.found
+
+    def _has_all(self, count: int) -> bool:
+        status = self.mapper.status()
+        return status["revision"] >= count and not status["scans"]["pending"]
 
 
-def settled(mapper, robots):
-    """Stop the robots, wait until the mapper has all, and compare."""
-    robots.stop()
-    return all_taken(mapper, robots.sent)
-
-
-def all_taken(mapper, sent):
-    """Wait until the mapper has all, and compare."""
-    deadline = time.monotonic() + SETTLED
-    while (found := outcome(mapper.noted, sent)).taken < found.sent and time.monotonic() < deadline:
-        time.sleep(0.2)
-    return found
+def within(seconds: float, condition: Callable[[], bool]) -> bool:
+    """Wait until a condition holds; whether it does, in time."""
+    deadline = time.monotonic() + seconds
+    while not (holds := condition()) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return holds
 
 
 @contextmanager
-def _mapper_and_robots(folder, count, rate, *, starting=0.0, routed=False):
+def _scene(
+    folder: Path,
+    robots: range,
+    rate: float,
+    *,
+    starting: float = 0.0,
+    routed: bool = False,
+) -> Iterator[Scene]:
+    """These robots at so many scans a second, that start within so many seconds; one has begun."""
     endpoint = resolve_listen("tcp/127.0.0.1:0")
     with ExitStack() as opening:
-        router = opening.enter_context(Process("route", endpoint)) if routed else None
-        how = "connect" if routed else "listen"
-        mapper = opening.enter_context(NotingMapper(endpoint, folder / "notes", how))
-        robots = Robots(endpoint, count, rate, starting)
-        opening.callback(robots.close)
-        yield mapper, robots, router
+        router = opening.enter_context(Service("tests.soak.router", endpoint)) if routed else None
+        mapper = Mapper(endpoint, folder / "data", "connect" if routed else "listen", TELLING)
+        opening.enter_context(mapper).wait_until_ready()
+        driving = opening.enter_context(Robots(endpoint, robots, rate, within=starting))
+        scene = Scene(mapper, driving, router)
+        _wait_for_scans(scene, len(robots) if starting == 0.0 else 1)
+        yield scene
 
 
-def mapper_killed(folder, kills, *, robots, rate, away=1.5):
-    """Kill the mapper so many times, at random moments, and start it again after up to `away` s."""
-    with _mapper_and_robots(folder, robots, rate, starting=kills * 1.5) as (mapper, publishing, _):
-        for _ in range(kills):
-            time.sleep(random.uniform(0.3, 3.0))
-            mapper.kill()
-            time.sleep(random.uniform(0.0, away))
-            mapper.start()
-        return settled(mapper, publishing)
+def _wait_for_scans(scene: Scene, count: int) -> None:
+    assert within(SETTLED, lambda: scene.sent >= count), "the robots do not publish"
 
 
-def mapper_frozen(folder, seconds, *, robots, rate):
+def mapper_killed(
+    folder: Path,
+    kills: int,
+    *,
+    robots: int,
+    rate: float,
+    number: signal.Signals = signal.SIGKILL,
+) -> Outcome:
+    """Kill the mapper so many times, at random moments, every fifth time before it is ready; or stop it.
+
+    Robots start one by one, so that each begins at another moment of the mapper's.
+    """
+    moments, ready = random.Random(SEED), 1
+    with _scene(folder, range(robots), rate, starting=3.0 * kills) as scene:
+        for kill in range(kills):
+            time.sleep(moments.uniform(0.0, 2.5))
+            before = scene.sent
+            scene.mapper.end(number)
+            time.sleep(moments.uniform(0.0, 1.0))
+            scene.mapper.start()
+            if kill % 5 != 3 or kill == kills - 1 or number != signal.SIGKILL:
+                scene.mapper.wait_until_ready()
+                ready += 1
+            scene.note_away(scene.sent - before)
+        assert len(scene.mapper.runs) == ready, "a mapper was not killed"
+        return scene.settled()
+
+
+def mapper_frozen(folder: Path, seconds: float, *, robots: int, rate: float) -> Outcome:
     """Freeze the mapper for so long."""
-    with _mapper_and_robots(folder, robots, rate) as (mapper, publishing, _):
-        time.sleep(1.0)
-        mapper.signal(signal.SIGSTOP)
-        time.sleep(seconds)
-        mapper.signal(signal.SIGCONT)
-        time.sleep(1.0)
-        return settled(mapper, publishing)
+    with _scene(folder, range(robots), rate) as scene:
+        _wait_for_scans(scene, 20 * robots)
+        with scene.mapper.frozen():
+            before = scene.sent
+            time.sleep(seconds)
+            scene.note_away(scene.sent - before)
+        found = scene.settled()
+        assert b"the mapper stood still for" in scene.mapper.log_file.read_bytes()
+        return found
 
 
-def robot_frozen(folder, seconds):
-    """Freeze a robot for so long; its links are closed meanwhile."""
-    endpoint = resolve_listen("tcp/127.0.0.1:0")
-    with NotingMapper(endpoint, folder / "notes") as mapper, Process("robot", endpoint) as robot:
-        for number in (signal.SIGSTOP, signal.SIGCONT, signal.SIGUSR1):
-            time.sleep(seconds if number == signal.SIGCONT else 1.5)
-            robot.signal(number)
-        sent = {"robot0": int(robot.process.stdout.readline())}
-        return all_taken(mapper, sent)
+def robots_frozen(folder: Path, seconds: float, *, robots: int, rate: float) -> Outcome:
+    """Freeze the robots for so long, and until the mapper takes them for gone."""
+    with _scene(folder, range(robots), rate) as scene:
+        _wait_for_scans(scene, 20 * robots)
+        with scene.robots.frozen():
+            time.sleep(seconds)
+            assert within(SETTLED, lambda: not scene.mapper.anybody_alive)
+        received = scene.mapper.status()["scans"]["received"]
+        _wait_for_scans(scene, received + robots)
+        return scene.settled()
 
 
-def router_killed(folder, kills, *, robots, rate):
+def robots_killed(folder: Path, kills: int, *, rate: float) -> Outcome:
+    """Kill robots, and start them again, as runs of their own; what has not left one then ends with it."""
+    moments = random.Random(SEED)
+    with _scene(folder, range(1, 8, 2), rate) as scene, ExitStack() as opening:
+        for number in range(1, kills + 1):
+            _wait_for_scans(scene, 20 * len(scene.robots.robots))
+            before = scene.robots.sent()
+            time.sleep(moments.uniform(0.2, 1.0))
+            scene.robots.end()
+            assert within(SETTLED, lambda: not scene.mapper.anybody_alive)
+            arrived = scene.mapper.arrived()
+            assert all(arrived[robot] >= count for robot, count in before.items()), (arrived, before)
+            scene.over.append(arrived)
+            again = Robots(scene.robots.endpoint, scene.robots.robots, rate, run=number)
+            scene.robots = opening.enter_context(again)
+        _wait_for_scans(scene, 20 * len(scene.robots.robots))
+        return scene.settled()
+
+
+def router_killed(folder: Path, kills: int, *, robots: int, rate: float) -> Outcome:
     """Kill the router between robots and mapper so many times, and start it again."""
-    with _mapper_and_robots(folder, robots, rate, routed=True) as (mapper, publishing, router):
+    moments = random.Random(SEED)
+    with _scene(folder, range(robots), rate, routed=True) as scene:
+        assert scene.router is not None
         for _ in range(kills):
-            time.sleep(random.uniform(1.0, 3.0))
-            router.kill()
-            time.sleep(random.uniform(0.0, 1.5))
-            router.start()
-        time.sleep(1.0)
-        return settled(mapper, publishing)
+            time.sleep(moments.uniform(1.0, 3.0))
+            scene.router.end()
+            time.sleep(moments.uniform(0.2, 1.5))
+            scene.note_away(scene.sent - scene.mapper.status()["scans"]["received"])
+            scene.router.start()
+        return scene.settled()
 
 
-def robots_stopped(folder, *, robots, rate):
+def robots_stopped(folder: Path, *, robots: int, rate: float) -> Outcome:
     """Robots that publish no more, but are there, while the mapper is away: nothing new ever comes."""
-    with _mapper_and_robots(folder, robots, rate) as (mapper, publishing, _):
-        time.sleep(1.0)
-        mapper.kill()
-        time.sleep(1.0)
-        publishing.stop()
-        mapper.start()
-        return settled(mapper, publishing)
+    with _scene(folder, range(robots), rate) as scene:
+        _wait_for_scans(scene, 20 * robots)
+        before = scene.sent
+        scene.mapper.end()
+        _wait_for_scans(scene, before + 20 * robots)
+        scene.note_away(sum(scene.robots.stop().values()) - before)
+        scene.mapper.start()
+        scene.mapper.wait_until_ready()
+        return scene.settled()
+
+
+def scenes(kills: int) -> dict[str, Callable[[Path], Outcome]]:
+    """What happens at full length, by what it is called; the first one has ten times as many kills."""
+    return {
+        f"the mapper killed {10 * kills} times, a robot at 40 Hz": partial(
+            mapper_killed, kills=10 * kills, robots=1, rate=40.0
+        ),
+        f"the mapper killed {kills} times, 100 robots at 2 Hz": partial(
+            mapper_killed, kills=kills, robots=100, rate=2.0
+        ),
+        f"the mapper killed {kills} times, 100 robots at 10 Hz": partial(
+            mapper_killed, kills=kills, robots=100, rate=10.0
+        ),
+        f"the mapper stopped by SIGTERM {kills} times, 4 robots at 40 Hz": partial(
+            mapper_killed, kills=kills, robots=4, rate=40.0, number=signal.SIGTERM
+        ),
+        "the mapper frozen for 10 s, 4 robots at 40 Hz": partial(
+            mapper_frozen, seconds=10.0, robots=4, rate=40.0
+        ),
+        "4 robots at 40 Hz frozen for 10 s": partial(robots_frozen, seconds=10.0, robots=4, rate=40.0),
+        f"4 robots at 40 Hz killed {kills} times": partial(robots_killed, kills=kills, rate=40.0),
+        f"the router killed {kills} times, 4 robots at 40 Hz": partial(
+            router_killed, kills=kills, robots=4, rate=40.0
+        ),
+        "4 robots at 40 Hz that stop while the mapper is away": partial(robots_stopped, robots=4, rate=40.0),
+    }

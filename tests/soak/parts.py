@@ -6,20 +6,13 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, field
-from itertools import count
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.running import ROOT
 from docs.variants import markdown
 from tests.soak.http_schema import requests_made_up
-from tests.soak.missed import (
-    mapper_frozen,
-    mapper_killed,
-    robot_frozen,
-    robots_stopped,
-    router_killed,
-)
+from tests.soak.missed import scenes
 from tests.soak.overload import HONEST, HONEST_RATE, Report, overloaded
 
 FULL = 600.0
@@ -91,34 +84,30 @@ def overload(seconds: float) -> Part:
 
 
 def missed(seconds: float) -> Part:
-    """Mappers that are killed and frozen, routers that are killed, robots that stop: 260 kills in all."""
-    kills = max(1, round(20 * seconds / FULL))
-    with tempfile.TemporaryDirectory() as place:
-        folders = (Path(tempfile.mkdtemp(dir=place)) for _ in count())
-        found = {
-            f"a mapper killed {10 * kills} times, a robot at 40 Hz": mapper_killed(
-                next(folders), 10 * kills, robots=1, rate=40.0
-            ),
-            f"a mapper killed {kills} times, 100 robots at 2 Hz": mapper_killed(
-                next(folders), kills, robots=100, rate=2.0
-            ),
-            f"a mapper killed {kills} times, 100 robots at 10 Hz": mapper_killed(
-                next(folders), kills, robots=100, rate=10.0
-            ),
-            "a mapper frozen for 10 s, 4 robots at 40 Hz": mapper_frozen(
-                next(folders), 10.0, robots=4, rate=40.0
-            ),
-            "a robot at 40 Hz frozen for 10 s": robot_frozen(next(folders), 10.0),
-            f"a router killed {kills} times, 4 robots at 40 Hz": router_killed(
-                next(folders), kills, robots=4, rate=40.0
-            ),
-            "robots at 40 Hz that stop while the mapper is away": robots_stopped(
-                next(folders), robots=4, rate=40.0
-            ),
-        }
-    rows = [["what happened", "sent", "taken", "missing", "twice", "out of order", "lost", "came again"]]
-    rows += [[what, *(f"{number:,}" for number in astuple(outcome))] for what, outcome in found.items()]
-    wrong = [f"{what}: {outcome}" for what, outcome in found.items() if not outcome.right]
+    """Mappers, robots and routers that are killed and frozen, robots that stop: 300 kills in all."""
+    rows = [
+        [
+            "what happened",
+            "scans sent",
+            "meanwhile",
+            "integrated",
+            "dropped",
+            "lost",
+            "came again",
+            "wrong cells",
+        ]
+    ]
+    wrong = []
+    for what, happens in scenes(max(1, round(20 * seconds / FULL))).items():
+        with tempfile.TemporaryDirectory() as folder:
+            found = happens(Path(folder))
+        dropped = ", ".join(f"{count:,} {reason}" for reason, count in found.dropped.items())
+        away = f"{sum(found.away):,}" if found.away else "-"
+        counts = f"{found.lost:,}", f"{found.replayed:,}", f"{found.wrong_cells:,}"
+        rows.append([what, f"{found.sent:,}", away, f"{found.integrated:,}", dropped or "0", *counts])
+        print(f"{what}: {found}", flush=True)
+        if not found.right:
+            wrong.append(f"{what}: {found}")
     return Part({"missed": markdown(rows)}, wrong)
 
 

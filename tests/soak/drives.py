@@ -1,0 +1,84 @@
+"""Drives of the soak: what a robot publishes, by its number and that of its scan, and the map of it all.
+
+Every robot drives in a place of its own, so that the map does not depend on whose scans came first.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from ogm_core.files.map_files import NpzMap, encode_npz, read_npz
+from ogm_core.grid import OccupancyGrid
+from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_services.settings.settings import Settings
+
+T0 = 1_700_000_000_000_000_000
+PERIOD = 25_000_000
+"""Between two poses by their stamps, ns, whatever the time between them is."""
+BEFORE = 8_000_000
+"""So much before the pose of its number is a scan's stamp, ns: between two poses, so that both matter."""
+BEAMS = 90
+SENSOR = "laser"
+SWEEP = {"angle_min": -math.pi, "angle_increment": math.tau / BEAMS, "range_min": 0.1, "range_max": 4.0}
+_APART = 10.0
+"""From one robot's place to the next, m: more than what two of them see."""
+_SHAKES = np.random.default_rng(14).uniform(-0.1, 0.1, (59, 3)).tolist()
+_RANGES = np.random.default_rng(13).uniform(0.5, 3.0, (61, BEAMS)).astype(np.float32)
+
+
+def pose_stamp(number: int) -> int:
+    """When a pose was taken, ns; that of number 0 comes before the first scan, which is number 1."""
+    return T0 + number * PERIOD
+
+
+def pose(robot: int, number: int) -> Pose:
+    """Where a robot is then: it shakes, so that each pose matters."""
+    x, y = _APART * (robot % 10), _APART * (robot // 10)
+    turn, (shake_x, shake_y, shake_turn) = 0.02 * number, _SHAKES[(5 * robot + number) % len(_SHAKES)]
+    return Pose(
+        x + 0.8 * math.sin(0.6 * turn) + shake_x,
+        y + 0.8 * math.cos(0.8 * turn + robot) + shake_y,
+        turn + shake_turn,
+    )
+
+
+def scan_stamp(number: int) -> int:
+    """When a scan was taken, ns."""
+    return pose_stamp(number) - BEFORE
+
+
+def ranges(robot: int, number: int) -> np.ndarray:
+    """What it measures then: walls that are hit now here, now there, so that the order matters, too."""
+    return _RANGES[(7 * robot + number) % len(_RANGES)]
+
+
+def messages(robot: int, count: int, run: str) -> Iterator[PoseStamped | Scan]:
+    """What it publishes: so many scans, each before the pose that it waits for."""
+    yield PoseStamped(pose_stamp(0), pose(robot, 0), 0, run)
+    for number in range(1, count + 1):
+        swept = ranges(robot, number)
+        yield Scan(scan_stamp(number), ranges=swept, **SWEEP, seq=number - 1, run=run)
+        yield PoseStamped(pose_stamp(number), pose(robot, number), number, run)
+
+
+def mapped(drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: dict[str, object]) -> NpzMap:
+    """The map of messages, by robot, in this order."""
+    settings = Settings.model_validate({"map": flags})
+    grid = OccupancyGrid(settings.grid_settings(), "again")
+    placer = ScanPlacer(grid, Receipts(), lambda *_: None, settings.placing_rules())
+    for robot, published in drives:
+        for message in published:
+            if isinstance(message, Scan):
+                placer.add_scan(f"robot{robot}", SENSOR, message)
+            else:
+                placer.add_pose(f"robot{robot}", message)
+    return read_npz(encode_npz(grid.snapshot()))
+
+
+def uninterrupted(sent: dict[int, list[int]], flags: dict[str, object]) -> NpzMap:
+    """The map of so many scans of each robot, run by run, as it is if nothing ever goes wrong."""
+    runs = ((robot, run, count) for robot, counts in sent.items() for run, count in enumerate(counts))
+    return mapped(((robot, messages(robot, count, f"run{run}")) for robot, run, count in runs), flags)

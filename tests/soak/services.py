@@ -1,0 +1,175 @@
+"""Services of the soak that are killed and frozen: a mapper that stores its map, robots, a router."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from benchmarks.running import ROOT, environment, line_after
+from tests.soak.drives import SENSOR
+
+FLAGS = ("--http-port", "0", "--log-level", "info")
+
+
+class Service:
+    """A process that can be killed, frozen and started again; whatever happens, it ends with its context."""
+
+    def __init__(self, module: str, *arguments: object) -> None:
+        self._command = [sys.executable, "-m", module, *map(str, arguments)]
+        self._log: Any = None
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it; wait for nothing."""
+        assert self.process is None
+        self.process = subprocess.Popen(
+            self._command,
+            cwd=ROOT,
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            bufsize=0,
+        )
+
+    def end(self, number: signal.Signals = signal.SIGKILL) -> None:
+        """End it, as a power cut would or in order, by SIGTERM."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        code = self.process.wait()
+        assert code == (0 if number == signal.SIGTERM else -number), f"{self._command} ended with {code}"
+        self._close()
+
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Have it stand still meanwhile."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGSTOP)
+        try:
+            yield
+            state = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii").rpartition(") ")[2][0]
+            assert state == "T", f"{self._command} is in state {state}"
+        finally:
+            self.process.send_signal(signal.SIGCONT)
+
+    def _close(self) -> None:
+        assert self.process is not None
+        for pipe in (self.process.stdin, self.process.stdout):
+            with suppress(OSError):
+                pipe.close()  # type: ignore[union-attr]
+        self.process = None
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self._close()
+
+
+class Mapper(Service):
+    """`ogm mapper --data`, and what its lives have counted, as they told last."""
+
+    def __init__(self, endpoint: str, folder: Path, how: str, flags: dict[str, object]) -> None:
+        settings = (f"--{name.replace('_', '-')}={value}" for name, value in flags.items())
+        listens = ("--listen", "tcp/127.0.0.1:0") if how == "connect" else ()
+        super().__init__(
+            "ogm_services", "mapper", f"--{how}", endpoint, *listens, "--data", folder, *FLAGS, *settings
+        )
+        self.log_file = folder.with_suffix(".log")
+        self.runs: set[str] = set()
+        self.counted: Counter[str] = Counter()
+        self._life: Counter[str] = Counter()
+        self._url = ""
+        self._closing = ExitStack()
+
+    def start(self) -> None:
+        """Start it; wait for nothing."""
+        self._log = self._closing.enter_context(self.log_file.open("ab"))
+        super().start()
+        self._url = ""
+
+    def wait_until_ready(self) -> None:
+        """Return once it serves."""
+        assert self.process is not None
+        self._url = line_after(self.process, "live map ")
+        self.runs.add(self.status()["run"])
+
+    def status(self) -> dict[str, Any]:
+        """What it says of itself."""
+        status = httpx.get(f"{self._url}status", timeout=60.0).raise_for_status().json()
+        scans = status["scans"]
+        poses = {f"poses {name}": count for name, count in status["poses"].items() if name != "received"}
+        self._life = Counter(
+            {**scans["dropped"], **poses, "scans lost": scans["lost"], "scans replayed": scans["replayed"]}
+        )
+        return status
+
+    @property
+    def anybody_alive(self) -> bool:
+        """Whether any robot's token is there."""
+        return any(robot["alive"] for robot in self.status()["robots"].values())
+
+    def arrived(self) -> dict[int, int]:
+        """Scans of each robot's present run that have come, once no more do: none of them may be alive."""
+        arrived, looked = self._arrived(), {}
+        while arrived != looked:
+            time.sleep(1.0)
+            arrived, looked = self._arrived(), arrived
+        return arrived
+
+    def _arrived(self) -> dict[int, int]:
+        robots = self.status()["robots"]
+        return {int(name[5:]): robot["sources"][SENSOR]["last_seq"] + 1 for name, robot in robots.items()}
+
+    def map(self) -> tuple[bytes, int]:
+        """Its /map.npz, and the revision of that."""
+        answer = httpx.get(f"{self._url}map.npz", timeout=60.0).raise_for_status()
+        return answer.content, int(answer.headers["OGM-Revision"])
+
+    def end(self, number: signal.Signals = signal.SIGKILL) -> None:
+        """End it; it is asked what it has counted before, if it is ready."""
+        if self._url:
+            self.status()
+        super().end(number)
+
+    def _close(self) -> None:
+        super()._close()
+        self._closing.close()
+        self.counted += self._life
+        self._life.clear()
+
+
+class Robots(Service):
+    """Robots, all of them one process: `sent` is how many scans each has published when it is asked."""
+
+    def __init__(
+        self, endpoint: str, robots: range, rate: float, *, within: float = 0.0, run: int = 0
+    ) -> None:
+        self.endpoint, self.robots = endpoint, robots
+        super().__init__("tests.soak.driving", endpoint, f"run{run}", rate, within, *robots)
+
+    def sent(self) -> dict[int, int]:
+        """Scans that each robot has published."""
+        return self._ask("")
+
+    def stop(self) -> dict[int, int]:
+        """Have them publish no more; what they have published they keep."""
+        return self._ask("stop")
+
+    def _ask(self, line: str) -> dict[int, int]:
+        assert self.process is not None
+        self.process.stdin.write(f"{line}\n".encode())  # type: ignore[union-attr]
+        told = json.loads(line_after(self.process, "sent "))
+        return {int(robot): count for robot, count in told.items()}
