@@ -41,15 +41,14 @@ class Recorder:
     skipped: list = field(default_factory=list)
     room: bool = True
 
-    def hand_on(self, source, payload):
+    def hand_on(self, source, payload, *, resumed=False):
         head = read_head(payload)
         self.handed_on.append(payload if head is None else (source.sensor or "pose", head[2], head[1]))
 
     def admits(self, robot):
         return robot != "refused"
 
-    def has_room(self, robot, robots, part):
-        assert robot in robots
+    def has_room(self, robot, part):
         return self.room
 
     def lost(self, source, count, run, seqs):

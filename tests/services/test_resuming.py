@@ -2,11 +2,14 @@
 
 import threading
 import time
+from collections import Counter
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 
 from ogm_client import RobotPublisher
+from ogm_client.session import NetworkConfig, open_session
 from ogm_core.placing.receipts import Receipts
 from ogm_core.types import Scan
 from ogm_core.wire.heads import read_head
@@ -73,8 +76,8 @@ def subscribed(listener):
         subscriber.close()
 
 
-def publish(robot, count):
-    for stamp in range(count):
+def publish(robot, count, first=0):
+    for stamp in range(first, first + count):
         robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)
         robot.publish_scan([1.0] * 20, sensor="s", stamp=stamp, **SWEEP)
 
@@ -142,46 +145,104 @@ def scan(seq):
     return encode_scan(Scan(seq, 0.0, 0.1, 0.1, 30.0, np.ones(3, np.float32), seq=seq, run="a"))
 
 
-def put(queue, robot, count, sensor="s"):
+def put(queue, robot, count, sensor="s", *, resumed=True):
     for seq in range(count):
-        queue.put(Message(Source(robot, sensor), scan(seq), time.monotonic()))
+        queue.put(Message(Source(robot, sensor), scan(seq), time.monotonic(), resumed=resumed))
 
 
-def test_a_queue_has_room_for_robots_that_take_less_than_a_part_of_it():
+def test_a_queue_has_room_while_what_is_resumed_takes_less_than_a_part_of_it():
     queue = ScanQueue(100)
-    assert queue.has_room("a", ["a", "b"], 0.25)
+    put(queue, "live", 1, resumed=False)
     put(queue, "a", 24)
-    assert queue.has_room("a", ["a", "b"], 0.25)
-    assert queue.has_room("b", ["a", "b"], 0.25)
+    assert queue.has_room("a", 0.25)
     put(queue, "b", 1)
-    assert not queue.has_room("a", ["a", "b"], 0.25)
-    assert not queue.has_room("b", ["a", "b"], 0.25)
-    assert queue.has_room("c", ["a", "b", "c"], 0.25)  # nothing of it waits
-    assert queue.has_room("a", ["a"], 0.25)  # the other one is not resumed
+    assert not queue.has_room("a", 0.25)
+    assert not queue.has_room("b", 0.25)
+    assert not queue.has_room("live", 0.25)
+    assert queue.has_room("c", 0.25)  # nothing of it waits
+    queue.take(0)  # the live one
+    assert not queue.has_room("a", 0.25)
     queue.take(0)
-    assert queue.has_room("a", ["a", "b"], 0.25)
+    assert queue.has_room("a", 0.25)
+
+
+def test_what_is_not_resumed_takes_no_room_but_that_of_its_own_robot():
+    queue = ScanQueue(100)
+    put(queue, "flood", 60, resumed=False)
+    put(queue, "a", 10)
+    assert queue.has_room("a", 0.25)
+    assert not queue.has_room("flood", 0.25)
+
+
+def test_what_is_dropped_takes_no_room():
+    queue = ScanQueue(100)
+    put(queue, "a", 25)
+    put(queue, "b", 1)
+    assert not queue.has_room("b", 0.25)
+    put(queue, "a", 100, resumed=False)  # which drops all that is resumed of it
+    assert queue.has_room("b", 0.25)
 
 
 def test_a_queue_has_room_by_the_work_that_scans_will_be():
     queue = ScanQueue(1000, cells_of=lambda *_: 0.2e9)  # 0.4 s each, of 5 s
     put(queue, "a", 3)
-    assert queue.has_room("a", ["a"], 0.25)
-    put(queue, "a", 1)
-    assert not queue.has_room("a", ["a"], 0.25)
+    assert queue.has_room("a", 0.25)
+    put(queue, "b", 1)
+    assert not queue.has_room("a", 0.25)
+    queue.worked(queue.take(0), 0.01)  # they take less time
+    assert queue.has_room("a", 0.25)
 
 
 def test_a_queue_has_room_for_poses_likewise():
     queue = ScanQueue(100)
     put(queue, "a", MAX_POSES_OF_ROBOT // 4 - 1, sensor=None)
-    assert queue.has_room("a", ["a"], 0.25)
+    assert queue.has_room("a", 0.25)
     put(queue, "a", 1, sensor=None)
-    assert not queue.has_room("a", ["a"], 0.25)
+    assert not queue.has_room("a", 0.25)
     for k in range(MAX_POSES // MAX_POSES_OF_ROBOT - 1):
         put(queue, f"b{k}", MAX_POSES_OF_ROBOT // 4, sensor=None)
-    names = ["a", *(f"b{k}" for k in range(MAX_POSES // MAX_POSES_OF_ROBOT - 1))]
     put(queue, "c", 1, sensor=None)
-    assert queue.has_room("c", ["c"], 0.25)
-    assert not queue.has_room("c", [*names, "c"], 0.25)
+    assert not queue.has_room("c", 0.25)
+    queue.take(0), queue.take(0)
+    assert queue.has_room("c", 0.25)
+
+
+def test_many_robots_that_are_resumed_fill_no_more_than_their_part_and_one_each(
+    listener, endpoint, subscribed, eventually
+):
+    """30 robots of 40 scans for a queue of 100: what is held of them meanwhile takes no more room, either."""
+    queue, most, taken = ScanQueue(100), [0], Counter()
+    with open_session(NetworkConfig(connect=(endpoint,))) as session, ExitStack() as open_ones:
+        names = [f"r{k}" for k in range(30)]
+        robots = [
+            open_ones.enter_context(RobotPublisher(name, session=session, map_name="hall", run="a"))
+            for name in names
+        ]
+        for robot in robots:
+            publish(robot, 40)
+        receipts = subscribed(queue, Decided())
+        for robot in robots:
+            robot.wait_for_mapper(30.0)
+        eventually(lambda: queue.scans >= 25)  # nobody works yet: all robots are held
+        for robot in robots:
+            publish(robot, 10, first=40)
+
+        def work():
+            while not queue.closed:
+                item = queue.take(0.1)
+                if item is not None and item.source is not None and item.source.sensor:
+                    most[0] = max(most[0], queue.scans + 1)
+                    taken[item.source.robot] += 1
+                    time.sleep(0.0005)
+
+        worker = threading.Thread(target=work)
+        worker.start()
+        eventually(lambda: taken.total() == 30 * 50 or receipts.status().scans.dropped["overload"])
+        queue.close()
+        worker.join()
+    assert receipts.status().scans.dropped["overload"] == 0
+    assert taken == dict.fromkeys(names, 50)
+    assert 25 < most[0] <= 25 + 30
 
 
 def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscribed, eventually):

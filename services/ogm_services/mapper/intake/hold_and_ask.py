@@ -5,6 +5,7 @@ ended, is in the caches of the publishers, and has to be asked for before what c
 """
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -29,6 +30,8 @@ ASKERS = 16
 """Robots that are asked at a time."""
 SHARE = 0.25
 """What is being resumed takes this part of the queue, or one message of each robot."""
+PATIENCE = 10.0
+"""What is held waits so long for that, s: a mapper that has more to do than it can will not have room."""
 _PAUSE = 0.005
 
 log = logging.getLogger(__name__)
@@ -58,8 +61,6 @@ class HoldAndAsk:
         self._robots: dict[str, RobotHold] = {}
         self._lock = threading.Lock()
         self._bytes = HeldBytes()
-        self._working: dict[str, None] = {}
-        """Robots whose backlog is being handed on."""
         self._stopping = threading.Event()
         self._askers = ThreadPoolExecutor(ASKERS, "ogm-ask")
         self._looker = threading.Thread(target=self._look_on, name="ogm-hold")
@@ -168,7 +169,7 @@ class HoldAndAsk:
         except Exception:
             log.exception("what %s has published could not be asked for", robot.name)
             robot.again = False
-            robot.drain(time.monotonic())
+            self._drain(robot, time.monotonic())
         finally:
             with self._lock:
                 robot.at_work = False
@@ -185,13 +186,15 @@ class HoldAndAsk:
                 return
             if not whole and (progress or fails < ASKS - 1):
                 robot.again = True  # it stays held, whether or not anything has come that is
-            gap, handed_on = robot.drain()
+            gap, handed_on = self._drain(robot)
+            if self._stopping.is_set():
+                return
             if not progress and ((gap and not handed_on) or not whole):
                 fails += 1
                 if fails < ASKS:
                     self._stopping.wait(PAUSES[fails - 1])
                     continue
-                robot.drain(began)
+                self._drain(robot, began)
             fails = 0
             if not robot.is_held:
                 return
@@ -202,7 +205,6 @@ class HoldAndAsk:
         `final`: it is asked no more.
         """
         progress, whole, robot.answered = False, True, None
-        self._working[robot.name] = None
         try:
             with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
                 for message, follows in backlog.messages():
@@ -214,14 +216,20 @@ class HoldAndAsk:
                 robot.answered = {source.sensor for source in backlog.sources}
         except Unanswered:
             whole = False
-        finally:
-            del self._working[robot.name]
         return progress, whole
 
-    def _room(self, robot: RobotHold) -> bool:
-        """Wait until the queue has room for a message out of a cache; False: there will be none."""
+    def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:
+        """Hand on what is held; whether a gap has ended it, and whether anything was handed on."""
+        patient = time.monotonic() + PATIENCE
+        return robot.drain(lambda: self._room(robot, patient), until)
+
+    def _room(self, robot: RobotHold, until: float = math.inf) -> bool:
+        """Wait until the queue has room for a message that is resumed; False: the mapper stops.
+
+        After `until`, s, there is room for any: the queue drops what is too much.
+        """
         while not self._stopping.is_set():
-            if self._intake.has_room(robot.name, list(self._working), SHARE):
+            if self._intake.has_room(robot.name, SHARE) or time.monotonic() > until:
                 return True
             self._stopping.wait(_PAUSE)
         return False

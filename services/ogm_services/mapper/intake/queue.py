@@ -3,14 +3,14 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import islice
 
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.largest import Largest
-from ogm_services.mapper.intake.work import CellRate
+from ogm_services.mapper.intake.load import Load, RobotLoad
 
 MAX_BYTES = 256 * MEBIBYTE
 """Payload that may wait, whatever the number of scans, unless there is less memory."""
@@ -42,28 +42,14 @@ class Message:
     """How many cells' time a scan will take, more than 0; None as long as nobody has looked."""
     robot: str | None = None
     """Whose command it is: it takes the room of one of that robot's poses, and like them is never dropped."""
+    resumed: bool = False
+    """Whether it was missed, or held back, before: it waits for room beside what just comes."""
     dropped: bool = False
 
     @property
     def sender(self) -> str | None:
         """Whose message or command it is; None of the mapper's own commands."""
         return self.robot if self.source is None else self.source.robot
-
-
-@dataclass(slots=True, eq=False)
-class _Robot:
-    scans: deque[Message] = field(default_factory=deque)
-    """Of all its sensors, oldest first."""
-    cells: float = 0.0
-    size: int = 0
-    poses: int = 0
-    rate: CellRate = field(default_factory=CellRate)
-    posing: float = 0.0
-    """How long its poses have taken since its last scan, s: they make scans ready that came before."""
-
-    @property
-    def work(self) -> float:
-        return self.cells * self.rate.value
 
 
 class ScanQueue:
@@ -103,12 +89,10 @@ class ScanQueue:
         self._room = threading.Condition(self._lock)
         self._waiting_for_room = 0
         self._items: deque[Message] = deque()
-        self._robots: dict[str, _Robot] = {}
-        self._scans = 0
-        self._work = 0.0
-        self._size = 0
-        self._poses = 0
-        self._pose_size = 0
+        self._robots: dict[str, RobotLoad[Message]] = {}
+        self._load = Load()
+        self._resumed = Load()
+        """The part of it that is resumed."""
         self._largest: Largest | None = None
         """By share, while the queue is full or was a moment ago."""
         self._closed = False
@@ -116,12 +100,12 @@ class ScanQueue:
     @property
     def bytes(self) -> int:
         """Payload of the scans and poses that wait."""
-        return self._size + self._pose_size
+        return self._load.size + self._load.pose_size
 
     @property
     def work(self) -> float:
         """How long the scans that wait will take, about, s."""
-        return self._work
+        return self._load.work
 
     @property
     def behind(self) -> bool:
@@ -131,7 +115,7 @@ class ScanQueue:
     @property
     def scans(self) -> int:
         """How many scans wait."""
-        return self._scans
+        return self._load.scans
 
     def put(self, item: Message) -> list[Source]:
         """Append a message; return the source of every scan that had to go for it."""
@@ -140,9 +124,7 @@ class ScanQueue:
             gone: list[Source] = []
             if source is not None and source.sensor is not None:
                 self._items.append(item)
-                robot = self._robot(source.robot)
-                robot.scans.append(item)
-                self._count_scan(robot, item, 1)
+                self._add_scan(self._robot(source.robot), item)
                 if item.cells is None:
                     self._unseen.append(item)
                 gone = self._make_room(source.robot)
@@ -150,7 +132,7 @@ class ScanQueue:
                 name = item.sender
                 if name is not None:
                     self._wait_for_room(name, len(item.payload))
-                    self._count_pose(name, item, 1)
+                    self._add_pose(name, item)
                 self._items.append(item)
             self._came.notify()
             return gone
@@ -166,15 +148,13 @@ class ScanQueue:
             self._behind = time.monotonic() - item.arrival > BEHIND
             source = item.source
             if source is not None and source.sensor is not None:
-                robot = self._robots[source.robot]
-                robot.scans.popleft()
-                self._count_scan(robot, item, -1)
+                self._remove_first_scan(self._robots[source.robot])
                 while item.cells is None and self._unseen.popleft() is not item:
                     pass  # one that was dropped
-                if self._largest is not None and not self._past(0.5):
+                if self._largest is not None and self._part(self._load) <= 0.5:
                     self._largest = None
             elif item.sender is not None:
-                self._count_pose(item.sender, item, -1)
+                self._remove_pose(item.sender, item)
                 if self._waiting_for_room:
                     self._room.notify_all()
             return item
@@ -192,28 +172,30 @@ class ScanQueue:
             if item.source is None or item.source.sensor is None:
                 robot.posing += seconds
                 return []
-            before = robot.work
+            before = robot.rate.value
             cells = self._cells_of(item.source, item.payload) if item.cells is None else item.cells
             robot.rate.measured(cells, seconds + robot.posing)
             robot.posing = 0.0
-            self._work += robot.work - before
+            self._load.work += robot.cells * (robot.rate.value - before)
+            self._resumed.work += robot.resumed_cells * (robot.rate.value - before)
             return self._make_room(name)
 
-    def has_room(self, name: str, names: Sequence[str], part: float) -> bool:
-        """Whether nothing of a robot waits, or what waits of these robots is less than a part of each bound.
+    def has_room(self, name: str, part: float) -> bool:
+        """Whether a message of a robot may be resumed: none of it waits, or less than a part of each bound.
 
-        It is looked how large scans are, a few at a time: who fills the queue in one go asks before each.
+        Less than that part, too, of all that is resumed. It is looked how large scans are, a few at a time:
+        who fills the queue in one go asks before each.
         """
         with self._lock:
-            mine = self._robots.get(name)
+            mine, resumed = self._robots.get(name), self._resumed
             if self._closed or mine is None or not (mine.scans or mine.poses):
                 return True
             self._look()
-            poses = sum(self._robots[other].poses for other in names if other in self._robots)
             return (
                 mine.poses < part * MAX_POSES_OF_ROBOT
-                and poses < part * MAX_POSES
-                and sum(map(self._share, names)) < part
+                and resumed.poses < part * MAX_POSES
+                and self._share(name) < part
+                and self._part(resumed) < part
             )
 
     def close(self) -> None:
@@ -241,16 +223,16 @@ class ScanQueue:
 
     def _has_room(self, name: str, length: int) -> bool:
         """Whether a pose of this length may be put."""
-        full = self._poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
-        too_large = self._poses > 0 and self._pose_size + length > self._max_pose_bytes
+        full = self._load.poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
+        too_large = self._load.poses > 0 and self._load.pose_size + length > self._max_pose_bytes
         return self._closed or not (full or too_large)
 
-    def _robot(self, name: str) -> _Robot:
+    def _robot(self, name: str) -> RobotLoad[Message]:
         robot = self._robots.get(name)
         if robot is None:
             if len(self._robots) >= MAX_RATES:
                 self._forget_some()
-            robot = self._robots[name] = _Robot()
+            robot = self._robots[name] = RobotLoad()
         return robot
 
     def _forget_some(self) -> None:
@@ -260,31 +242,39 @@ class ScanQueue:
             if robot.scans or robot.poses:
                 self._robots[name] = robot
 
-    def _count_pose(self, name: str, item: Message, sign: int) -> None:
-        self._robot(name).poses += sign
-        self._poses += sign
-        self._pose_size += sign * len(item.payload)
+    def _loads(self, item: Message) -> tuple[Load, ...]:
+        return (self._load, self._resumed) if item.resumed else (self._load,)
 
-    def _count_scan(self, robot: _Robot, item: Message, sign: int) -> None:
-        if item.cells is not None:
-            robot.cells += sign * item.cells
-            self._work += sign * item.cells * robot.rate.value
-        size = sign * len(item.payload)
-        robot.size += size
-        self._scans += sign
-        self._size += size
-        if sign < 0 and not robot.scans:  # else what is lost in rounding would add up
-            robot.cells = 0.0
-        if not self._scans:
-            self._work = 0.0
+    def _add_pose(self, name: str, item: Message) -> None:
+        self._robot(name).poses += 1
+        for load in self._loads(item):
+            load.add_pose(len(item.payload))
 
-    def _past(self, part: float) -> bool:
-        """Whether more waits than this part of a bound."""
-        return (
-            self._scans > part * self.max_scans
-            or self._size > part * self._max_scan_bytes
-            or self._work > part * MAX_WORK
-        )
+    def _remove_pose(self, name: str, item: Message) -> None:
+        self._robot(name).poses -= 1
+        for load in self._loads(item):
+            load.remove_pose(len(item.payload))
+
+    def _add_scan(self, robot: RobotLoad[Message], item: Message) -> None:
+        robot.scans.append(item)
+        robot.size += len(item.payload)
+        work = robot.look(item.cells, 1, resumed=item.resumed)
+        for load in self._loads(item):
+            load.add_scan(len(item.payload), work)
+
+    def _remove_first_scan(self, robot: RobotLoad[Message]) -> Message:
+        item = robot.scans.popleft()
+        robot.size -= len(item.payload)
+        work = robot.look(item.cells, -1, resumed=item.resumed)
+        if not robot.scans:  # else what is lost in rounding would add up
+            robot.cells = robot.resumed_cells = 0.0
+        for load in self._loads(item):
+            load.remove_scan(len(item.payload), work)
+        return item
+
+    def _part(self, load: Load) -> float:
+        """The part of the bounds that scans take up: of the work, the bytes or their number, the largest."""
+        return max(load.work / MAX_WORK, load.size / self._max_scan_bytes, load.scans / self.max_scans)
 
     def _share(self, name: str) -> float:
         """The part of the bounds that a robot's scans take up."""
@@ -304,8 +294,9 @@ class ScanQueue:
             item.cells = self._cells_of(item.source, item.payload)
             name = item.source.robot
             robot = self._robots[name]
-            robot.cells += item.cells
-            self._work += item.cells * robot.rate.value
+            work = robot.look(item.cells, 1, resumed=item.resumed)
+            for load in self._loads(item):
+                load.work += work
             if self._largest is not None:
                 self._largest.grew(name)
             size += len(item.payload)
@@ -321,13 +312,11 @@ class ScanQueue:
                 self._look()
         if self._largest is not None:
             self._largest.grew(name)
-        while self._scans > 1 and self._past(1.0):
+        while self._load.scans > 1 and self._part(self._load) > 1.0:
             if self._largest is None:
                 self._largest = Largest(self._share, self._robots)
             loser = self._largest.name()
-            robot = self._robots[loser]
-            item = robot.scans.popleft()
-            self._count_scan(robot, item, -1)
+            item = self._remove_first_scan(self._robots[loser])
             assert item.source is not None
             self._dropping(item.source, item.payload)
             item.dropped, item.payload = True, b""

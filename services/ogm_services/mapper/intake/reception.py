@@ -33,12 +33,15 @@ class Reception:
         self._overload = overload or Overload(queue, receipts)
         self._complaints = LimitedLog(log)
 
-    def hand_on(self, source: Source, payload: bytes) -> None:
-        """Count a message, and put it into the queue, unless it is of one robot or sensor too many."""
+    def hand_on(self, source: Source, payload: bytes, *, resumed: bool = False) -> None:
+        """Count a message, and put it into the queue, unless it is of one robot or sensor too many.
+
+        `resumed`: it was missed before, or held back.
+        """
         now = time.monotonic()
         if self._refused(source, now):
             return
-        dropped = self._queue.put(Message(source, payload, now))
+        dropped = self._queue.put(Message(source, payload, now, resumed=resumed))
         if dropped:
             self._overload.note(dropped)
 
@@ -64,9 +67,9 @@ class Reception:
         """Whether messages of a robot are taken, or it is one too many."""
         return self._receipts.admits(robot, time.monotonic())
 
-    def has_room(self, robot: str, robots: list[str], part: float) -> bool:
-        """Whether nothing waits of a robot, or what waits of `robots` takes less than a part of the queue."""
-        return self._queue.has_room(robot, robots, part)
+    def has_room(self, robot: str, part: float) -> bool:
+        """Whether nothing waits of a robot, or what is resumed takes less than a part of the queue."""
+        return self._queue.has_room(robot, part)
 
     def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
         """Count messages that no cache has any more, and say which."""

@@ -55,16 +55,16 @@ def skipping(decided: Decided) -> Callable[[Source, bytes], None]:
 class Intake(Protocol):
     """Where messages go, and what is told of those that do not come. Any thread."""
 
-    def hand_on(self, source: Source, payload: bytes) -> None:
-        """Count a message, and put it into the queue."""
+    def hand_on(self, source: Source, payload: bytes, *, resumed: bool = False) -> None:
+        """Count a message, and put it into the queue; `resumed`: it was missed before, or held back."""
         ...
 
     def admits(self, robot: str) -> bool:
         """Whether messages of that robot are taken: there may be too many."""
         ...
 
-    def has_room(self, robot: str, robots: list[str], part: float) -> bool:
-        """Whether nothing waits of a robot, or what waits of these takes less than this part of the queue."""
+    def has_room(self, robot: str, part: float) -> bool:
+        """Whether nothing waits of a robot, or what is resumed takes less than this part of the queue."""
         ...
 
     def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
@@ -273,20 +273,23 @@ class RobotHold:
         if self._decided.is_decided(*source, run, seq):
             self._intake.replayed(source)
         elif room():
-            self._intake.hand_on(source, message.payload)
+            self._intake.hand_on(source, message.payload, resumed=True)
         else:
             return False
         self._give_up(source, run, known.numbering.take(run, seq, twin=stamp))
         return True
 
-    def drain(self, until: float | None = None) -> tuple[bool, bool]:
+    def drain(self, room: Callable[[], bool], until: float | None = None) -> tuple[bool, bool]:
         """Hand on what is held, up to a gap, which ends it; what came up to `until` whatever is missing.
 
         Whether it has met a gap, and whether anything was handed on. Without a gap the robot is held no
-        longer, unless it is to be asked again.
+        longer, unless it is to be asked again. `room` waits until there is some; False: nothing is handed on
+        any more.
         """
         progress = False
         while True:
+            if self._held and not room():
+                return False, progress
             with self.lock:
                 if not self._held:
                     self._held = self._held if self.again else None
@@ -318,7 +321,7 @@ class RobotHold:
         source, numbering = item.source, known.numbering
         if item.head is None:
             numbering.unread += 1
-            self._intake.hand_on(source, item.payload)
+            self._intake.hand_on(source, item.payload, resumed=self.is_held)
             return True
         stamp, seq, run = item.head
         standing = numbering.standing(run, seq)
@@ -326,7 +329,7 @@ class RobotHold:
             if numbering.is_twin(run, seq, stamp):
                 self._intake.replayed(source)
             else:
-                self._intake.hand_on(source, item.payload)
+                self._intake.hand_on(source, item.payload, resumed=self.is_held)
             return True
         if (standing is Standing.GAP or standing is Standing.BEGINNING) and known.none_of != run:
             if not forced:
@@ -334,7 +337,7 @@ class RobotHold:
             if self.answered is not None and source.sensor not in self.answered and not known.caches:
                 known.none_of = run
         self._give_up(source, run, numbering.take(run, seq))
-        self._intake.hand_on(source, item.payload)
+        self._intake.hand_on(source, item.payload, resumed=self.is_held)
         return True
 
     def _keep(self, item: Held) -> None:
