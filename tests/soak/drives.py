@@ -16,10 +16,6 @@ from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.settings.settings import Settings
 
 T0 = 1_700_000_000_000_000_000
-PERIOD = 25_000_000
-"""Between two poses by their stamps, ns, whatever the time between them is."""
-BEFORE = 8_000_000
-"""So much before the pose of its number is a scan's stamp, ns: between two poses, so that both matter."""
 BEAMS = 90
 SENSOR = "laser"
 SWEEP = {"angle_min": -math.pi, "angle_increment": math.tau / BEAMS, "range_min": 0.1, "range_max": 4.0}
@@ -29,9 +25,9 @@ _SHAKES = np.random.default_rng(14).uniform(-0.1, 0.1, (59, 3)).tolist()
 _RANGES = np.random.default_rng(13).uniform(0.5, 3.0, (61, BEAMS)).astype(np.float32)
 
 
-def pose_stamp(number: int) -> int:
+def pose_stamp(number: int, rate: float) -> int:
     """When a pose was taken, ns; that of number 0 comes before the first scan, which is number 1."""
-    return T0 + number * PERIOD
+    return T0 + round(number * 1e9 / rate)
 
 
 def pose(robot: int, number: int) -> Pose:
@@ -45,9 +41,9 @@ def pose(robot: int, number: int) -> Pose:
     )
 
 
-def scan_stamp(number: int) -> int:
-    """When a scan was taken, ns."""
-    return pose_stamp(number) - BEFORE
+def scan_stamp(number: int, rate: float) -> int:
+    """When a scan was taken, ns: before the pose of its number, so that both poses beside it matter."""
+    return T0 + round((number - 0.3) * 1e9 / rate)
 
 
 def ranges(robot: int, number: int) -> np.ndarray:
@@ -55,13 +51,13 @@ def ranges(robot: int, number: int) -> np.ndarray:
     return _RANGES[(7 * robot + number) % len(_RANGES)]
 
 
-def messages(robot: int, count: int, run: str) -> Iterator[PoseStamped | Scan]:
+def messages(robot: int, count: int, run: str, rate: float) -> Iterator[PoseStamped | Scan]:
     """What it publishes: so many scans, each before the pose that it waits for."""
-    yield PoseStamped(pose_stamp(0), pose(robot, 0), 0, run)
+    yield PoseStamped(pose_stamp(0, rate), pose(robot, 0), 0, run)
     for number in range(1, count + 1):
         swept = ranges(robot, number)
-        yield Scan(scan_stamp(number), ranges=swept, **SWEEP, seq=number - 1, run=run)
-        yield PoseStamped(pose_stamp(number), pose(robot, number), number, run)
+        yield Scan(scan_stamp(number, rate), ranges=swept, **SWEEP, seq=number - 1, run=run)
+        yield PoseStamped(pose_stamp(number, rate), pose(robot, number), number, run)
 
 
 def mapped(drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: dict[str, object]) -> NpzMap:
@@ -78,7 +74,7 @@ def mapped(drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: di
     return read_npz(encode_npz(grid.snapshot()))
 
 
-def uninterrupted(sent: dict[int, list[int]], flags: dict[str, object]) -> NpzMap:
+def uninterrupted(sent: dict[int, list[int]], rate: float, flags: dict[str, object]) -> NpzMap:
     """The map of so many scans of each robot, run by run, as it is if nothing ever goes wrong."""
     runs = ((robot, run, count) for robot, counts in sent.items() for run, count in enumerate(counts))
-    return mapped(((robot, messages(robot, count, f"run{run}")) for robot, run, count in runs), flags)
+    return mapped(((robot, messages(robot, count, f"run{run}", rate)) for robot, run, count in runs), flags)

@@ -27,7 +27,7 @@ class Drivers:
 
     def __init__(self, endpoint: str, run: str, rate: float, within: float, robots: list[int]) -> None:
         self.sent = dict.fromkeys(robots, 0)
-        self._endpoint, self._run, self._period = endpoint, run, 1.0 / rate
+        self._endpoint, self._run, self._rate = endpoint, run, rate
         self._stopping = threading.Event()
         began, rng = time.monotonic(), random.Random(len(robots))
         starts = {n: began + within * k / len(robots) + rng.random() / rate for k, n in enumerate(robots)}
@@ -60,30 +60,30 @@ class Drivers:
             if robot not in robots:
                 robots[robot] = self._publisher(session, robot)
             self._publish(robots[robot], robot)
-            turns.append((due + self._period, robot))
+            turns.append((due + 1.0 / self._rate, robot))
             turns.sort()
 
     def _publisher(self, session, robot: int) -> RobotPublisher:
         publisher = RobotPublisher(
-            f"robot{robot}", session=session, run=self._run, cache_samples=round(CACHED_S / self._period)
+            f"robot{robot}", session=session, run=self._run, cache_samples=round(CACHED_S * self._rate)
         )
         self._open.enter_context(publisher)
-        publisher.publish_pose(*drives.pose(robot, 0), stamp=drives.pose_stamp(0))
+        publisher.publish_pose(*drives.pose(robot, 0), stamp=drives.pose_stamp(0, self._rate))
         return publisher
 
     def _publish(self, publisher: RobotPublisher, robot: int) -> None:
         """The next scan and pose: those of every second robot the other way round."""
         number = self.sent[robot] + 1
         if robot % 2:
-            publisher.publish_pose(*drives.pose(robot, number), stamp=drives.pose_stamp(number))
+            publisher.publish_pose(*drives.pose(robot, number), stamp=drives.pose_stamp(number, self._rate))
         publisher.publish_scan(
             drives.ranges(robot, number),
             **drives.SWEEP,
             sensor=drives.SENSOR,
-            stamp=drives.scan_stamp(number),
+            stamp=drives.scan_stamp(number, self._rate),
         )
         if not robot % 2:
-            publisher.publish_pose(*drives.pose(robot, number), stamp=drives.pose_stamp(number))
+            publisher.publish_pose(*drives.pose(robot, number), stamp=drives.pose_stamp(number, self._rate))
         self.sent[robot] = number
 
 

@@ -89,7 +89,7 @@ class Scene:
         self.found.sent = sum(map(sum, sent.values()))
         within(SETTLED, lambda: self._has_all(self.found.sent))
         served, self.found.integrated = self.mapper.map()
-        self.found.wrong_cells = differing(read_npz(served), uninterrupted(sent, TELLING))
+        self.found.wrong_cells = differing(read_npz(served), uninterrupted(sent, self.robots.rate, TELLING))
         self.mapper.end()
         self.found.counted = self.mapper.counted
         return self.found

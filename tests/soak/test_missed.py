@@ -12,7 +12,7 @@ from tests.soak.overload import differing
 
 def changed(what):
     """The messages of 300 scans, one of them wrong; without numbers, so that no mapper would see it."""
-    sent = [replace(message, run="") for message in messages(1, 300, "")]
+    sent = [replace(message, run="") for message in messages(1, 300, "", 10.0)]
     scan, pose = 301, 302
     if what == "a scan is missing":
         del sent[scan]
@@ -26,8 +26,8 @@ def changed(what):
 
 
 def test_the_same_messages_make_the_same_map():
-    again = [(1, changed("nothing")), (2, messages(2, 50, "a")), (2, messages(2, 20, "b"))]
-    assert differing(mapped(again, TELLING), uninterrupted({1: [300], 2: [50, 20]}, TELLING)) == 0
+    again = [(1, changed("nothing")), (2, messages(2, 50, "a", 10.0)), (2, messages(2, 20, "b", 10.0))]
+    assert differing(mapped(again, TELLING), uninterrupted({1: [300], 2: [50, 20]}, 10.0, TELLING)) == 0
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_the_same_messages_make_the_same_map():
     ["a scan is missing", "a scan comes twice", "a scan comes after the next one", "a pose is missing"],
 )
 def test_a_message_that_is_wrong_shows_in_the_map(what):
-    assert differing(mapped([(1, changed(what))], TELLING), uninterrupted({1: [300]}, TELLING)) > 0
+    assert differing(mapped([(1, changed(what))], TELLING), uninterrupted({1: [300]}, 10.0, TELLING)) > 0
 
 
 @pytest.mark.parametrize(
