@@ -1,10 +1,13 @@
 """Decided messages: by robot, sensor and run, which were integrated, believed, or dropped for good."""
 
+import math
+import threading
 from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from ogm_core.placing.robots import Robots
+from ogm_core.placing.rules import MAX_ROBOTS
 
 
 class Skipped(NamedTuple):
@@ -28,6 +31,9 @@ class Decided:
         self._robots = robots
         self.skipped: deque[Skipped] = deque()
         """What the placer has not taken yet."""
+        self._waiting_until: dict[str, float] = {}
+        """By robot, the one told last at the end."""
+        self._lock = threading.Lock()
 
     def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
         """Whether a scan of that seq, or with None a pose, was integrated or dropped for good."""
@@ -51,6 +57,18 @@ class Decided:
         They are decided when the placer handles its next message, or looks who waits for too long.
         """
         self.skipped.append(Skipped(robot, sensor, run, first, first if last is None else last))
+
+    def wait_on(self, robot: str, until: float) -> None:
+        """Let a robot's scans wait for poses as if one had come then, s: they may come later than usual."""
+        with self._lock:
+            self._waiting_until.pop(robot, None)
+            self._waiting_until[robot] = until
+            if len(self._waiting_until) > MAX_ROBOTS:
+                del self._waiting_until[next(iter(self._waiting_until))]
+
+    def waits_until(self, robot: str) -> float:
+        """Until when a robot's scans wait for their poses in any case, s."""
+        return self._waiting_until.get(robot, -math.inf)
 
     def taken(self) -> Iterator[Skipped]:
         """Take what was skipped and not taken yet; the placer's thread."""

@@ -200,7 +200,8 @@ class ScanPlacer:
         self._take_skipped(now)
         wait = self._rules.pose_wait
         for name, robot in self._robots.items():
-            if robot.waiting and now - max(robot.pose_heard, robot.waiting.first.handed) > wait:
+            waited = max(robot.pose_heard, self.decided.waits_until(name))
+            if robot.waiting and now - max(waited, robot.waiting.first.handed) > wait:
                 why = self._why_none(name, robot, reasons.waited(wait))
                 self._give_up(name, robot, why, lambda item: now - item.handed > wait)
         for name in self._receipts.gone(now):

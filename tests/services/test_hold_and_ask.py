@@ -1,5 +1,6 @@
 """Hold and ask, on real sessions: what was missed comes out of caches, in order and once, before the rest."""
 
+import math
 import threading
 import time
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ class Recorder:
     up_to: dict = field(default_factory=dict)
     """By (sensor or None, run)."""
     skipped: list = field(default_factory=list)
+    waits: list = field(default_factory=list)
     room: bool = True
 
     def hand_on(self, source, payload, *, resumed=False):
@@ -65,6 +67,9 @@ class Recorder:
 
     def skip(self, robot, sensor, run, first, last):
         self.skipped.append((sensor, run, first, last))
+
+    def wait_on(self, robot, until):
+        self.waits.append(until)
 
     def seqs(self, key="s", run="a"):
         return [item[2] for item in self.handed_on if item[:2] == (key, run)]
@@ -270,6 +275,86 @@ def test_what_was_decided_in_an_earlier_life_is_replayed(hold, recorder, cache, 
     assert recorder.seqs() == [4, 7, 8, 9]
     assert recorder.came_again == ["s", "s"]
     assert recorder.gone == []
+
+
+def robots_of(count):
+    return [Source(f"r{k}", "s") for k in range(count)]
+
+
+def test_all_robots_are_held_at_once_however_many_there_are(hold, recorder, eventually, monkeypatch):
+    """More than are asked at a time."""
+    for source in robots_of(40):
+        take(hold, scan(0), source=source)
+    answered, ask = threading.Event(), Caches.ask
+    monkeypatch.setattr(Caches, "ask", lambda *question: (answered.wait(30.0), ask(*question))[1])
+    hold.ask_all()
+    for source in robots_of(40):
+        take(hold, scan(1), source=source)
+    assert recorder.seqs() == 40 * [0]
+    answered.set()
+    eventually(lambda: recorder.seqs() == 40 * [0] + 40 * [1])
+
+
+def test_what_comes_after_a_standstill_is_held_before_anybody_has_looked(hold, recorder, eventually):
+    take(hold, scan(0))
+    recorder.room = False
+    hold._looked = time.monotonic() - 2.0 * hold_module.FROZEN
+    take(hold, scan(1), scan(2))
+    assert recorder.seqs() == [0]
+    hold._looked = time.monotonic()
+    recorder.room = True
+    eventually(lambda: recorder.seqs() == [0, 1, 2])
+    eventually(lambda: hold.held == 0)
+
+
+def test_scans_are_not_taken_before_poses_that_a_cache_must_have(
+    hold, recorder, cache, asked, eventually, monkeypatch
+):
+    """The cache of the poses comes later: that of its run some were decided tells that there are more."""
+    monkeypatch.setattr(hold_module, "PAUSES", (0.5, 5.0))
+    recorder.up_to |= {(None, "a"): 1, ("s", "a"): 1}
+    scans = cache()
+    for seq in (2, 3):
+        scans.put(scan(seq, stamp=10 * seq))
+    take(hold, scan(4, stamp=40))
+    eventually(lambda: asked)
+    assert recorder.handed_on == []
+    poses = cache(POSES)
+    for seq in (2, 3):
+        poses.put(pose(seq, stamp=10 * seq))
+    eventually(lambda: len(recorder.handed_on) == 5)
+    order = [(key, seq) for key, _, seq in recorder.handed_on]
+    assert order == [("pose", 2), ("s", 2), ("pose", 3), ("s", 3), ("s", 4)]
+
+
+def test_caches_of_a_robot_that_come_one_by_one_are_asked_together(
+    hold, recorder, cache, eventually, monkeypatch
+):
+    monkeypatch.setattr(hold_module, "SETTLING", 0.5)
+    scans = cache()
+    for seq in range(3):
+        scans.put(scan(seq, stamp=10 * seq))
+    hold.cache_changed(SCANS, "one", True)
+    poses = cache(POSES)
+    for seq in range(3):
+        poses.put(pose(seq, stamp=10 * seq))
+    hold.cache_changed(POSES, "other", True)
+    eventually(lambda: len(recorder.handed_on) == 6)
+    assert [key for key, _, _ in recorder.handed_on] == ["pose", "s"] * 3
+
+
+def test_scans_wait_for_their_poses_while_their_robot_is_held_and_when_its_cache_is_gone(
+    hold, recorder, eventually
+):
+    take(hold, scan(0))
+    assert recorder.waits == []
+    hold.ask_all()
+    eventually(lambda: len(recorder.waits) == 2)
+    held, released = recorder.waits
+    assert held == math.inf
+    assert released <= time.monotonic()
+    hold.cache_changed(SCANS, "one", False)
+    assert recorder.waits[2] > time.monotonic() + robot_hold.AWAY / 2.0
 
 
 def test_a_gap_that_no_cache_fills_is_asked_for_three_times_and_lost(

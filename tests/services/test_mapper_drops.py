@@ -6,7 +6,7 @@ import pytest
 
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.errors import LimitReached, OutsideBounds
-from ogm_core.placing.rules import FEWEST_POSES, MAX_WAITING_SCANS, MOST_POSES
+from ogm_core.placing.rules import FEWEST_POSES, MAX_ROBOTS, MAX_WAITING_SCANS, MOST_POSES
 from ogm_core.status import PoseCounts, SourceStatus
 from ogm_core.types import Pose, PoseStamped
 
@@ -197,6 +197,28 @@ def test_expire_drops_what_has_waited_if_its_robot_sent_no_pose():
     desk.scan(30)
     desk.placer.expire(103.6)
     assert (desk.pending, desk.dropped) == (1, {"no_pose": 3})
+
+
+def test_scans_wait_for_poses_that_may_come_late():
+    desk = Desk()
+    desk.now = 100.0
+    desk.pose(0).pose(0, robot="other").scan(10).scan(10, robot="other")
+    desk.placer.decided.wait_on("r", math.inf)
+    desk.placer.expire(200.0)
+    assert (desk.pending, desk.dropped) == (1, {"no_pose": 1})
+    desk.placer.decided.wait_on("r", 200.0)  # as if a pose had come then
+    desk.placer.expire(202.0)
+    assert desk.pending == 1
+    desk.placer.expire(202.1)
+    assert (desk.pending, desk.dropped) == (0, {"no_pose": 2})
+
+
+def test_of_robots_whose_poses_may_come_late_no_more_are_remembered_than_may_be_there():
+    decided = Desk().placer.decided
+    for k in range(MAX_ROBOTS + 5):
+        decided.wait_on(f"r{k % MAX_ROBOTS}" if k < MAX_ROBOTS else f"new{k}", 1.0)
+    assert [decided.waits_until(name) for name in ("r0", "r4")] == [-math.inf] * 2
+    assert [decided.waits_until(name) for name in ("r5", "new1004")] == [1.0] * 2
 
 
 def test_expire_keeps_the_poses():

@@ -37,6 +37,9 @@ class Decided:
         seqs = self.seqs.get((sensor, run))
         return None if not seqs else next(k for k in range(len(seqs) + 1) if k not in seqs) - 1
 
+    def wait_on(self, robot, until):
+        pass
+
     def skip(self, robot, sensor, run, first, last):
         self.seqs.setdefault((sensor, run), set()).update(range(first, last + 1))
 

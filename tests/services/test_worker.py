@@ -1,5 +1,6 @@
 """The worker beside its queue: whatever scans go because of what one has taken, they are in the books."""
 
+import threading
 import time
 
 import msgpack
@@ -8,9 +9,10 @@ import pytest
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.wire.keys import Source
+from ogm_services.mapper.intake import worker as worker_module
 from ogm_services.mapper.intake.queue import MAX_WORK, Message, ScanQueue
 from ogm_services.mapper.intake.work import SLOW_RATE
-from ogm_services.mapper.intake.worker import Worker
+from ogm_services.mapper.intake.worker import LOOK_PERIOD, Worker
 
 LASER = Source("r", "s")
 COUNT = 500
@@ -61,3 +63,30 @@ def test_scans_that_go_when_one_has_taken_long_are_counted_as_dropped(receipts, 
     assert scans.integrated == map_.integrated == kept + 1
     assert (scans.dropped["overload"], scans.pending) == (COUNT - kept - 1, 0)
     assert receipts.status().robots["r"].sources["s"].dropped == {"overload": COUNT - kept - 1}
+
+
+class Looks:
+    """A placer that notes when it is asked who waits for too long."""
+
+    def __init__(self):
+        self.looks = 0
+
+    def expire(self, _now):
+        self.looks += 1
+
+
+def test_a_worker_that_has_stood_still_gives_nothing_up_at_once(receipts, eventually, monkeypatch):
+    monkeypatch.setattr(worker_module, "PATIENCE", 1e9)
+    placer, worker_waits = Looks(), threading.Event()
+    worker = Worker(ScanQueue(10), placer, receipts, max_beams=10)
+    worker.start()
+    try:
+        eventually(lambda: placer.looks > 0)
+        monkeypatch.setattr(worker_module, "STOOD_STILL", 0.3)
+        looks = []
+        worker.do(lambda: (worker_waits.wait(0.6), looks.append(placer.looks)))
+        for _ in range(5):  # each of them after a look
+            worker.do(lambda: worker_waits.wait(2.0 * LOOK_PERIOD))
+        assert [placer.looks] == looks
+    finally:
+        worker.stop()

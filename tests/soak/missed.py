@@ -23,6 +23,9 @@ from tests.soak.services import Mapper, Robots, Service
 SETTLED = 60.0
 """How long a mapper may take until it has taken everything, s."""
 SEED = 13
+POSE_FIRST = range(1, 8, 2)
+"""Robots that publish a pose before the scan that waits for it: wherever they stop, no scan is left alone."""
+Happens = Callable[[Path], "Outcome"]
 TELLING = {"resolution": 0.1, "l_min": -1e6, "l_max": 1e6, "cells": "float64", "p_free": 0.41}
 """Cells that are sums without clamps, rounded after each scan: one that is missing, twice or late shows."""
 
@@ -173,24 +176,24 @@ def mapper_frozen(folder: Path, seconds: float, *, robots: int, rate: float) -> 
         return found
 
 
-def robots_frozen(folder: Path, seconds: float, *, robots: int, rate: float) -> Outcome:
-    """Freeze the robots for so long, and until the mapper takes them for gone."""
-    with _scene(folder, range(robots), rate) as scene:
-        _wait_for_scans(scene, 20 * robots)
+def robots_frozen(folder: Path, seconds: float, *, rate: float) -> Outcome:
+    """Freeze robots for so long, and until the mapper takes them for gone."""
+    with _scene(folder, POSE_FIRST, rate) as scene:
+        _wait_for_scans(scene, 20 * len(POSE_FIRST))
         with scene.robots.frozen():
             time.sleep(seconds)
             assert within(SETTLED, lambda: not scene.mapper.anybody_alive)
         received = scene.mapper.status()["scans"]["received"]
-        _wait_for_scans(scene, received + robots)
+        _wait_for_scans(scene, received + len(POSE_FIRST))
         return scene.settled()
 
 
 def robots_killed(folder: Path, kills: int, *, rate: float) -> Outcome:
     """Kill robots, and start them again, as runs of their own; what has not left one then ends with it."""
     moments = random.Random(SEED)
-    with _scene(folder, range(1, 8, 2), rate) as scene, ExitStack() as opening:
+    with _scene(folder, POSE_FIRST, rate) as scene, ExitStack() as opening:
         for number in range(1, kills + 1):
-            _wait_for_scans(scene, 20 * len(scene.robots.robots))
+            _wait_for_scans(scene, 20 * len(POSE_FIRST))
             before = scene.robots.sent()
             time.sleep(moments.uniform(0.2, 1.0))
             scene.robots.end()
@@ -198,9 +201,9 @@ def robots_killed(folder: Path, kills: int, *, rate: float) -> Outcome:
             arrived = scene.mapper.arrived()
             assert all(arrived[robot] >= count for robot, count in before.items()), (arrived, before)
             scene.over.append(arrived)
-            again = Robots(scene.robots.endpoint, scene.robots.robots, rate, run=number)
+            again = Robots(scene.robots.endpoint, POSE_FIRST, rate, run=number)
             scene.robots = opening.enter_context(again)
-        _wait_for_scans(scene, 20 * len(scene.robots.robots))
+        _wait_for_scans(scene, 20 * len(POSE_FIRST))
         return scene.settled()
 
 
@@ -231,28 +234,32 @@ def robots_stopped(folder: Path, *, robots: int, rate: float) -> Outcome:
         return scene.settled()
 
 
-def scenes(kills: int) -> dict[str, Callable[[Path], Outcome]]:
+def scenes(kills: int) -> dict[str, Happens]:
     """What happens at full length, by what it is called; the first one has ten times as many kills."""
+
+    def killed(kills: int, robots: int, rate: float, number: signal.Signals = signal.SIGKILL) -> Happens:
+        return partial(mapper_killed, kills=kills, robots=robots, rate=rate, number=number)
+
     return {
-        f"the mapper killed {10 * kills} times, a robot at 40 Hz": partial(
-            mapper_killed, kills=10 * kills, robots=1, rate=40.0
+        f"the mapper killed {10 * kills} times, a robot at 40 Hz": killed(10 * kills, 1, 40.0),
+        f"the mapper killed {kills} times, 100 robots at 2 Hz": killed(kills, 100, 2.0),
+        f"the mapper killed {kills} times, 100 robots at 10 Hz": killed(kills, 100, 10.0),
+        f"the mapper stopped (SIGTERM) {kills} times, 4 robots at 40 Hz": killed(
+            kills, 4, 40.0, signal.SIGTERM
         ),
-        f"the mapper killed {kills} times, 100 robots at 2 Hz": partial(
-            mapper_killed, kills=kills, robots=100, rate=2.0
+        "the mapper frozen for 10 s, a robot at 40 Hz": partial(
+            mapper_frozen, seconds=10.0, robots=1, rate=40.0
         ),
-        f"the mapper killed {kills} times, 100 robots at 10 Hz": partial(
-            mapper_killed, kills=kills, robots=100, rate=10.0
+        "the mapper frozen for 10 s, 100 robots at 10 Hz": partial(
+            mapper_frozen, seconds=10.0, robots=100, rate=10.0
         ),
-        f"the mapper stopped by SIGTERM {kills} times, 4 robots at 40 Hz": partial(
-            mapper_killed, kills=kills, robots=4, rate=40.0, number=signal.SIGTERM
-        ),
-        "the mapper frozen for 10 s, 4 robots at 40 Hz": partial(
-            mapper_frozen, seconds=10.0, robots=4, rate=40.0
-        ),
-        "4 robots at 40 Hz frozen for 10 s": partial(robots_frozen, seconds=10.0, robots=4, rate=40.0),
+        "4 robots at 40 Hz frozen for 10 s": partial(robots_frozen, seconds=10.0, rate=40.0),
         f"4 robots at 40 Hz killed {kills} times": partial(robots_killed, kills=kills, rate=40.0),
         f"the router killed {kills} times, 4 robots at 40 Hz": partial(
             router_killed, kills=kills, robots=4, rate=40.0
+        ),
+        f"the router killed {kills} times, 100 robots at 10 Hz": partial(
+            router_killed, kills=kills, robots=100, rate=10.0
         ),
         "4 robots at 40 Hz that stop while the mapper is away": partial(robots_stopped, robots=4, rate=40.0),
     }

@@ -157,7 +157,7 @@ class Robots(Service):
     def __init__(
         self, endpoint: str, robots: range, rate: float, *, within: float = 0.0, run: int = 0
     ) -> None:
-        self.endpoint, self.robots, self.rate = endpoint, robots, rate
+        self.endpoint, self.rate = endpoint, rate
         super().__init__("tests.soak.driving", endpoint, f"run{run}", rate, within, *robots)
 
     def sent(self) -> dict[int, int]:

@@ -66,6 +66,8 @@ class Backlog:
             failing.pop_all()
         self.sources = {source for source, _ in found}
         """Those that have a cache with something in it."""
+        self.runs = {message.head[2] for newest in found.values() for message in newest if message.head}
+        """Those of the newest messages."""
 
     def close(self) -> None:
         """Let go of what was not taken."""

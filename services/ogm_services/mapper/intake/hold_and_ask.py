@@ -32,6 +32,8 @@ SHARE = 0.25
 """What is being resumed takes this part of the queue, or one message of each robot."""
 PATIENCE = 10.0
 """What is held waits so long for that, s: a mapper that has more to do than it can will not have room."""
+SETTLING = 0.1
+"""A robot's caches come one after the other: it is asked when so long none has come, s."""
 _PAUSE = 0.005
 
 log = logging.getLogger(__name__)
@@ -64,6 +66,8 @@ class HoldAndAsk:
         self._stopping = threading.Event()
         self._askers = ThreadPoolExecutor(ASKERS, "ogm-ask")
         self._looker = threading.Thread(target=self._look_on, name="ogm-hold")
+        self._looked = math.inf
+        """When the looker looked last, s."""
 
     @property
     def held(self) -> int:
@@ -90,7 +94,12 @@ class HoldAndAsk:
         robot = self._robots.get(source.robot) or self._admitted(source.robot)
         if robot is None:
             self._intake.hand_on(source, payload)  # which refuses it
-        elif not robot.take_next(source, payload, now) and robot.take(
+            return
+        if now - self._looked > FROZEN and not robot.is_held:
+            # What has come meanwhile comes at once: it is held, so that it does not fill the queue.
+            robot.hold()
+            self._ask(robot)
+        if not robot.take_next(source, payload, now) and robot.take(
             Held(source, payload, read_head(payload), now)
         ):
             self._ask(robot)
@@ -117,7 +126,10 @@ class HoldAndAsk:
 
     def ask_all(self) -> None:
         """Ask every robot's caches, as after a time in which the mapper stood still."""
-        for robot in list(self._robots.values()):
+        robots = list(self._robots.values())
+        for robot in robots:  # all at once: asking takes its time
+            robot.hold()
+        for robot in robots:
             self._ask(robot)
 
     def look(self, now: float) -> None:
@@ -127,17 +139,18 @@ class HoldAndAsk:
                 self._ask(robot)
 
     def _look_on(self) -> None:
-        looked = time.monotonic()
+        self._looked = time.monotonic()
         while not self._stopping.wait(LOOK_PERIOD):
             now = time.monotonic()
+            still = now - self._looked
             try:
-                if now - looked > FROZEN:
-                    log.warning("the mapper stood still for %.1f s: robots' caches are asked", now - looked)
+                if still > FROZEN:
+                    log.warning("the mapper stood still for %.1f s: robots' caches are asked", still)
                     self.ask_all()
                 self.look(now)
             except Exception:
                 log.exception("a look at silent robots failed")
-            looked = now
+            self._looked = now
 
     def _admitted(self, name: str) -> RobotHold | None:
         """A robot that is new; None if it is one too many."""
@@ -165,6 +178,9 @@ class HoldAndAsk:
     def _work(self, robot: RobotHold) -> None:
         try:
             robot.hold()
+            for _ in range(10):
+                if not robot.is_settling(time.monotonic(), SETTLING) or self._stopping.wait(SETTLING):
+                    break
             self._catch_up(robot)
         except Exception:
             log.exception("what %s has published could not be asked for", robot.name)
@@ -207,13 +223,15 @@ class HoldAndAsk:
         progress, whole, robot.answered = False, True, None
         try:
             with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
-                for message, follows in backlog.messages():
+                whole = final or not robot.lacks_any(backlog.sources, backlog.runs)
+                for message, follows in backlog.messages() if whole else ():
                     progress |= robot.take_cached(
                         message, time.monotonic(), lambda: self._room(robot), follows=follows or final
                     )
                     if self._stopping.is_set():
                         return progress, False
-                robot.answered = {source.sensor for source in backlog.sources}
+                if whole:
+                    robot.answered = {source.sensor for source in backlog.sources}
         except Unanswered:
             whole = False
         return progress, whole

@@ -114,6 +114,16 @@ class Numbering:
         known = self._runs.get(run)
         return known is not None and known.twins.get(seq) == stamp
 
+    @property
+    def begun(self) -> bool:
+        """Whether anything was handed on of a run that has numbers, or decided in an earlier life."""
+        return any(known.last is not None for known in self._runs.values())
+
+    def has(self, run: str) -> bool:
+        """Whether anything of that run was."""
+        known = self._runs.get(run)
+        return run != "" and (self._decided_last(run) if known is None else known.last) is not None
+
     def last(self, run: str) -> int | None:
         """The largest seq of a run that was handed on, or decided in an earlier life; None if none was."""
         return self._of(run).last

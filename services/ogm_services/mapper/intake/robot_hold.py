@@ -1,8 +1,10 @@
 """Hold of one robot: what came of it while its caches are asked, and which of its messages were handed on."""
 
+import math
 import threading
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -19,6 +21,8 @@ MAX_BYTES = 64 * MEBIBYTE
 SILENCE = 5.0
 """A source that has a cache and is silent for so long is asked, s; then after twice the time, and so on."""
 MOST_SILENCE = 60.0
+AWAY = 10.0
+"""A robot whose caches go may come back within that, s: its scans wait for their poses meanwhile."""
 _MESSAGE_BYTES = 400
 """What a held message takes beside its payload, about."""
 _COUNTED = 10_000
@@ -38,6 +42,10 @@ class Decided(Protocol):
 
     def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
         """Note that messages, from a seq to another one, will never be taken: they are decided by that."""
+        ...
+
+    def wait_on(self, robot: str, until: float) -> None:
+        """Let a robot's scans wait for their poses at least until then, s: they may come later than usual."""
         ...
 
 
@@ -140,6 +148,10 @@ class RobotHold:
         self._all_bytes = held_bytes
         self._bytes = 0
         self._sources: dict[str | None, _Source] = {}
+        self._back = 0.0
+        """Until when it may come back, s, if its caches have gone."""
+        self._changed = 0.0
+        """When the last cache came, s."""
 
     @property
     def is_held(self) -> bool:
@@ -154,8 +166,7 @@ class RobotHold:
     def hold(self) -> None:
         """From now on keep what comes."""
         with self.lock:
-            if self._held is None:
-                self._held = deque()
+            self._hold()
 
     def source(self, sensor: str | None, now: float) -> _Source | None:
         """What is known of a source; None if it is one sensor too many."""
@@ -215,10 +226,19 @@ class RobotHold:
             return False
         if not here:
             known.caches.discard(cache)
+            with self.lock:
+                self._back = now + AWAY
+                if self._held is None:
+                    self._decided.wait_on(self.name, self._back)
             return False
+        self._changed = now
         known.caches.add(cache)
         known.none_of = None
         return True
+
+    def is_settling(self, now: float, settling: float) -> bool:
+        """Whether a cache came within the last `settling` s: others may come yet."""
+        return now - self._changed < settling
 
     def too_silent(self, now: float) -> bool:
         """Whether a source that has a cache is silent for so long that it is to be asked."""
@@ -235,6 +255,25 @@ class RobotHold:
         known = self._sources.get(source.sensor)
         last = self._decided.last(*source, run) if known is None else known.numbering.last(run)
         return None if last is None else last + 1
+
+    def lacks_any(self, sources: Set[Source], runs: Set[str]) -> bool:
+        """Whether a source has not answered that must have something: its cache is there, or a run's was.
+
+        `sources` have answered, with messages of `runs`. Without poses, say, scans would be taken too early.
+        """
+        with self.lock:
+            for sensor, known in {None: None, **self._sources}.items():
+                source = Source(self.name, sensor)
+                if source in sources:
+                    continue
+                if known is None:
+                    lacks = any(run and self._decided.last(*source, run) is not None for run in runs)
+                else:
+                    has_cache = bool(known.caches) and known.numbering.begun
+                    lacks = has_cache or any(map(known.numbering.has, runs))
+                if lacks:
+                    return True
+        return False
 
     def take_cached(self, message: Cached, now: float, room: Callable[[], bool], *, follows: bool) -> bool:
         """Hand on a message out of a cache, unless that was done; whether it was new.
@@ -292,7 +331,9 @@ class RobotHold:
                 return False, progress
             with self.lock:
                 if not self._held:
-                    self._held = self._held if self.again else None
+                    if not self.again:
+                        self._held = None
+                        self._decided.wait_on(self.name, max(time.monotonic(), self._back))
                     self._held_seqs.clear()
                     return False, progress
                 item = self._held[0]
@@ -342,13 +383,12 @@ class RobotHold:
 
     def _keep(self, item: Held) -> None:
         """Hold a message; past what may be held, the oldest goes: it is missed when its turn comes."""
-        if self._held is None:
-            self._held = deque()
-        self._held.append(item)
+        held = self._hold()
+        held.append(item)
         self._note_seq(item)
         self._count(item, 1)
-        while len(self._held) > 1 and (self._bytes > MAX_BYTES / 4 or self._all_bytes.all > MAX_BYTES):
-            gone = self._held.popleft()
+        while len(held) > 1 and (self._bytes > MAX_BYTES / 4 or self._all_bytes.all > MAX_BYTES):
+            gone = held.popleft()
             self._count(gone, -1)
             if gone.command is not None:
                 gone.command()
@@ -363,6 +403,12 @@ class RobotHold:
             _, seq, run = item.head
             first, _ = self._held_seqs.get((item.source.sensor, run), (seq, seq))
             self._held_seqs[item.source.sensor, run] = first, seq
+
+    def _hold(self) -> deque[Held]:
+        if self._held is None:
+            self._held = deque()
+            self._decided.wait_on(self.name, math.inf)
+        return self._held
 
     def _count(self, item: Held, sign: int) -> None:
         size = sign * (len(item.payload) + _MESSAGE_BYTES)

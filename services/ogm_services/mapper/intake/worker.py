@@ -1,6 +1,7 @@
 """Worker: the one thread that decodes messages and writes the map."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +20,10 @@ from ogm_services.replies.answer import Unavailable
 from ogm_services.runtime.limited_log import LimitedLog
 
 LOOK_PERIOD = 0.1
+STOOD_STILL = 1.5
+"""If there is more than this between two looks, s, the mapper stood still, or was at one scan."""
+PATIENCE = 1.0
+"""After that no scan is given up for so long, s, for which no pose has come meanwhile."""
 """How often robots that have fallen silent are looked for, s."""
 
 log = logging.getLogger(__name__)
@@ -94,7 +99,7 @@ class Worker:
         outcome.result()
 
     def _run(self) -> None:
-        looked = time.monotonic()
+        looked, stood_still, patient = time.monotonic(), False, -math.inf
         while not self._queue.closed:
             # Up to `now` every message has been handled: up to the moment before an empty queue was looked
             # into, else up to the next message's arrival, however long the queue is.
@@ -103,8 +108,13 @@ class Worker:
             if item is not None:
                 now = item.arrival
             if now - looked >= LOOK_PERIOD:
+                # Who has stood still gives what has come meanwhile time to arrive, or to be asked for.
+                before, stood_still = stood_still, now - looked > STOOD_STILL
+                if stood_still and not before:
+                    patient = now + PATIENCE
                 looked = now
-                self._survive("a look for silent robots", partial(self._placer.expire, now))
+                if now >= patient:
+                    self._survive("a look for silent robots", partial(self._placer.expire, now))
             if item is not None:
                 self._handle(item)
             self._between()
