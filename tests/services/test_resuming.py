@@ -15,8 +15,8 @@ from ogm_core.types import Scan
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_scan
+from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, Message, ScanQueue
-from ogm_services.mapper.intake.robot_hold import skipping
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 

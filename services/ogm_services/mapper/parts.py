@@ -17,9 +17,9 @@ from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import ScanQueue
-from ogm_services.mapper.intake.robot_hold import skipping
 from ogm_services.mapper.intake.work import ScanSizes
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.limits import Limits

@@ -17,7 +17,8 @@ from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Backlog, Unanswered
 from ogm_services.mapper.intake.caches import Caches
-from ogm_services.mapper.intake.robot_hold import Decided, Held, HeldBytes, Intake, RobotHold
+from ogm_services.mapper.intake.handing_on import Decided, Intake
+from ogm_services.mapper.intake.robot_hold import Held, HeldBytes, RobotHold
 
 ASKS = 3
 """A gap is asked for so many times; then what is missing is lost."""

@@ -1,0 +1,62 @@
+"""Handing on of messages, as a hold sees it: where they go, and what was decided of those before."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from ogm_core.wire.heads import read_head
+from ogm_core.wire.keys import Source
+
+
+class Decided(Protocol):
+    """What was decided of robots' messages, in this life of the mapper or an earlier one. Any thread."""
+
+    def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
+        """Whether a scan of that seq, or with None a pose, was integrated or dropped for good."""
+        ...
+
+    def last(self, robot: str, sensor: str | None, run: str) -> int | None:
+        """The highest seq up to which all are decided; None if none is."""
+        ...
+
+    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
+        """Note that messages, from a seq to another one, will never be taken: they are decided by that."""
+        ...
+
+    def wait_on(self, robot: str, until: float) -> None:
+        """Let a robot's scans wait for their poses at least until then, s: they may come later than usual."""
+        ...
+
+
+def skipping(decided: Decided) -> Callable[[Source, bytes], None]:
+    """What notes of a message, by its source and payload, that it will never be taken, if it has a number."""
+
+    def skip(source: Source, payload: bytes) -> None:
+        head = read_head(payload)
+        if head is not None and head[2]:
+            decided.skip(*source, head[2], head[1], head[1])
+
+    return skip
+
+
+class Intake(Protocol):
+    """Where messages go, and what is told of those that do not come. Any thread."""
+
+    def hand_on(self, source: Source, payload: bytes, *, resumed: bool = False) -> None:
+        """Count a message, and put it into the queue; `resumed`: it was missed before, or held back."""
+        ...
+
+    def admits(self, robot: str) -> bool:
+        """Whether messages of that robot are taken: there may be too many."""
+        ...
+
+    def has_room(self, robot: str, part: float) -> bool:
+        """Whether nothing waits of a robot, or what is resumed takes less than this part of the queue."""
+        ...
+
+    def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
+        """Count so many of these seqs that cannot be had any more."""
+        ...
+
+    def replayed(self, source: Source) -> None:
+        """Count a message that came again."""
+        ...
