@@ -17,6 +17,7 @@ from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.mapper.intake import caches as caches_module
+from ogm_services.mapper.intake import held as held_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
 from ogm_services.mapper.intake import robot_hold
 from ogm_services.mapper.intake.caches import Caches
@@ -261,6 +262,30 @@ def test_what_is_held_keeps_its_order_though_one_cache_answers_before_another_is
     assert [(key, seq) for key, _, seq in recorder.handed_on] == [
         (key, seq) for seq in range(6) for key in ("pose", "s")
     ]
+    assert (recorder.gone, recorder.came_again) == ([], [])
+
+
+def test_scans_of_a_cache_go_between_the_poses_that_are_held_by_their_stamps(
+    hold, recorder, cache, eventually
+):
+    """Scans were lost on a full link, which their poses passed: no scan goes far ahead of its pose."""
+    scans = cache(SCANS)
+    for seq in range(7):
+        scans.put(scan(seq))
+    take(hold, pose(0), source=POSES)
+    take(hold, scan(0))
+    recorder.room = False
+    take(hold, scan(2))  # 1 is missing: the robot is held
+    eventually(lambda: hold._robots["r"].is_held)
+    take(hold, *(pose(seq) for seq in range(1, 6)), source=POSES)
+    take(hold, scan(6))
+    recorder.room = True
+    eventually(lambda: len(recorder.handed_on) == 13)
+    order = [(key, seq) for key, _, seq in recorder.handed_on]
+    # 2 is held before the poses, so it goes before them; 3 to 5 come out of the cache.
+    assert order[:4] == [("pose", 0), ("s", 0), ("s", 1), ("s", 2)]
+    pairs = [(key, seq) for seq in (3, 4, 5) for key in ("pose", "s")]
+    assert order[4:] == [("pose", 1), ("pose", 2), *pairs, ("s", 6)]
     assert (recorder.gone, recorder.came_again) == ([], [])
 
 
@@ -538,7 +563,7 @@ def test_what_waits_in_the_queue_is_only_so_much_of_a_backlog(hold, recorder, ca
 def test_what_is_held_is_bounded_and_what_goes_comes_out_of_the_cache(
     hold, recorder, cache, eventually, monkeypatch
 ):
-    monkeypatch.setattr(robot_hold, "MAX_BYTES", 40_000)
+    monkeypatch.setattr(held_module, "MAX_BYTES", 40_000)
     publisher = cache()
     for seq in range(300):
         publisher.put(scan(seq))

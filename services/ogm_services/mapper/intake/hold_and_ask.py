@@ -18,7 +18,8 @@ from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Backlog, Unanswered
 from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.handing_on import Decided, Intake
-from ogm_services.mapper.intake.robot_hold import Held, HeldBytes, RobotHold
+from ogm_services.mapper.intake.held import Held, HeldBytes
+from ogm_services.mapper.intake.robot_hold import RobotHold
 
 ASKS = 3
 """A gap is asked for so many times; then what is missing is lost."""
@@ -96,13 +97,14 @@ class HoldAndAsk:
         if robot is None:
             self._intake.hand_on(source, payload)  # which refuses it
             return
-        if now - self._looked > FROZEN and not robot.is_held:
-            # What has come meanwhile comes at once: it is held, so that it does not fill the queue.
+        # What has come while the mapper stood still comes at once: it is held, lest it fill the queue.
+        stood_still = now - self._looked > FROZEN and not robot.is_held
+        if stood_still:
             robot.hold()
-            self._ask(robot)
-        if not robot.take_next(source, payload, now) and robot.take(
+        begins = not robot.take_next(source, payload, now) and robot.take(
             Held(source, payload, read_head(payload), now)
-        ):
+        )
+        if begins or stood_still:
             self._ask(robot)
 
     def do_in_turn(self, robot: str, command: Callable[[], object]) -> None:

@@ -3,55 +3,24 @@
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Set
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from ogm_core.placing.rules import MAX_SENSORS
-from ogm_core.units import MEBIBYTE
-from ogm_core.wire.heads import Head
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
 from ogm_services.mapper.intake.handing_on import Decided, Intake
+from ogm_services.mapper.intake.held import Held, HeldBytes, HeldMessages
 from ogm_services.mapper.intake.numbering import Numbering, Standing
 
-MAX_BYTES = 64 * MEBIBYTE
-"""What may be held of all robots, and the quarter of it of one; past that the oldest is let go of."""
 SILENCE = 5.0
 """A source that has a cache and is silent for so long is asked, s; then after twice the time, and so on."""
 MOST_SILENCE = 60.0
 AWAY = 10.0
 """A robot whose caches go may come back within that, s: its scans wait for their poses meanwhile."""
-_MESSAGE_BYTES = 400
-"""What a held message takes beside its payload, about."""
 _COUNTED = 10_000
 """So many missing ones are looked at, whether they were decided; more are all missing."""
-
-
-class Held(NamedTuple):
-    """A message that waits until its robot's caches were asked, or a command in its place."""
-
-    source: Source
-    payload: bytes
-    head: Head | None
-    came: float
-    """When it came, s."""
-    command: Callable[[], object] | None = None
-
-
-class HeldBytes:
-    """Bytes that are held of all robots."""
-
-    def __init__(self) -> None:
-        self.all = 0
-        self._lock = threading.Lock()
-
-    def count(self, size: int) -> None:
-        """Count so many more, or less."""
-        with self._lock:
-            self.all += size
 
 
 @dataclass(slots=True, eq=False)
@@ -87,22 +56,14 @@ class RobotHold:
         """Sensors, None for poses, whose caches had something when asked last; None: not all answered."""
         self._decided = decided
         self._intake = intake
-        self._held: deque[Held] | None = None
-        """What came, in order of arrival; None while it is not held."""
-        self._held_seqs: dict[tuple[str | None, str], tuple[int, int]] = {}
-        """The seqs of the first and the last one that is held, by sensor and run."""
-        self._all_bytes = held_bytes
-        self._bytes = 0
+        self._held = HeldMessages(held_bytes)
+        self.is_held = False
+        """Whether what comes is kept."""
         self._sources: dict[str | None, _Source] = {}
         self._back = 0.0
         """Until when it may come back, s, if its caches have gone."""
         self._changed = 0.0
         """When the last cache came, s."""
-
-    @property
-    def is_held(self) -> bool:
-        """Whether what comes is kept."""
-        return self._held is not None
 
     @property
     def heard(self) -> float:
@@ -112,7 +73,9 @@ class RobotHold:
     def hold(self) -> None:
         """From now on keep what comes."""
         with self.lock:
-            self._hold()
+            if not self.is_held:
+                self.is_held = True
+                self._decided.wait_on(self.name, math.inf)
 
     def source(self, sensor: str | None, now: float) -> _Source | None:
         """What is known of a source; None if it is one sensor too many."""
@@ -130,7 +93,7 @@ class RobotHold:
         if known is None:
             return False
         with self.lock:
-            if self._held is not None or not known.numbering.take_next(payload):
+            if self.is_held or not known.numbering.take_next(payload):
                 return False
             known.heard = now
             self._intake.hand_on(source, payload)
@@ -144,9 +107,9 @@ class RobotHold:
             return False
         with self.lock:
             known.heard = item.came
-            if self._held is None and self._handed_on(known, item):
+            if not self.is_held and self._handed_on(known, item):
                 return False
-            begins = self._held is None
+            begins = not self.is_held
             self._keep(item)
         return begins
 
@@ -154,7 +117,7 @@ class RobotHold:
         """Do a command after what has come."""
         assert item.command is not None
         with self.lock:
-            if self._held is not None:
+            if self.is_held:
                 self._keep(item)
                 return
         item.command()
@@ -174,7 +137,7 @@ class RobotHold:
             known.caches.discard(cache)
             with self.lock:
                 self._back = now + AWAY
-                if self._held is None:
+                if not self.is_held:
                     self._decided.wait_on(self.name, self._back)
             return False
         self._changed = now
@@ -224,9 +187,9 @@ class RobotHold:
     def take_cached(self, message: Cached, now: float, room: Callable[[], bool], *, follows: bool) -> bool:
         """Hand on a message out of a cache, unless that was done; whether it was new.
 
-        What came by itself while the robot is held is left for then: it is in the order in which it was
-        published, poses before the scans that need them, whenever each cache answered. What follows that and
-        has not come is asked for once more.
+        What came by itself while the robot is held is handed on from there, before the first message of a
+        later stamp: it is in the order in which it was published, poses before the scans that need them,
+        whenever each cache answered.
 
         `room` waits until there is some; False: it is not to be handed on. `follows`: the cache has nothing
         of what is missing before it.
@@ -249,11 +212,17 @@ class RobotHold:
         if standing is Standing.OLD:
             self._intake.replayed(source)
             return False
-        first_held, last_held = self._held_seqs.get((source.sensor, run), (seq + 1, seq))
-        if seq >= first_held:
-            if seq == first_held and (standing is Standing.GAP or standing is Standing.BEGINNING):
+        with self.lock:
+            held, first = self._held.has(source.sensor, run, seq), self._held.first(source.sensor, run)
+        if held:
+            if seq == first and (standing is Standing.GAP or standing is Standing.BEGINNING):
                 self._give_up(source, run, known.numbering.begin_at(run, seq))
-            self.again = self.again or seq > last_held
+            return False
+        self._drain_before(stamp, source, room)
+        with self.lock:
+            first = self._held.first(source.sensor, run)
+        if first is not None and first < seq:
+            self.again = True  # what is held before it cannot be handed on yet
             return False
         if self._decided.is_decided(*source, run, seq):
             self._intake.replayed(source)
@@ -278,30 +247,40 @@ class RobotHold:
             with self.lock:
                 if not self._held:
                     if not self.again:
-                        self._held = None
+                        self.is_held = False
                         self._decided.wait_on(self.name, max(time.monotonic(), self._back))
-                    self._held_seqs.clear()
                     return False, progress
-                item = self._held[0]
+                item = self._held.oldest
                 if item.command is not None:
                     item.command()
                 else:
                     forced = until is not None and item.came <= until
                     if not self._handed_on(self._sources[item.source.sensor], item, forced=forced):
-                        self._held_seqs.clear()
-                        for held in self._held:
-                            self._note_seq(held)
                         return True, progress
                     progress = True
-                self._held.popleft()
-                self._count(item, -1)
+                self._held.pop()
 
     def forget(self) -> None:
         """Let go of what is held."""
         with self.lock:
             while self._held:
-                self._count(self._held.popleft(), -1)
-            self._held_seqs.clear()
+                self._held.pop()
+
+    def _drain_before(self, stamp: int, source: Source, room: Callable[[], bool]) -> None:
+        """Hand on what is held and comes before a message of that stamp, up to a gap or a command."""
+        turn = stamp, source.sensor is not None
+        while self._held and room():
+            with self.lock:
+                if not self._held:
+                    return
+                item = self._held.oldest
+                if item.command is not None:
+                    return
+                if item.head is not None and (item.head[0], item.source.sensor is not None) >= turn:
+                    return
+                if not self._handed_on(self._sources[item.source.sensor], item):
+                    return
+                self._held.pop()
 
     def _handed_on(self, known: _Source, item: Held, *, forced: bool = False) -> bool:
         """Hand on a message that came by itself, unless others are missing before it; `forced`: even then."""
@@ -329,37 +308,14 @@ class RobotHold:
 
     def _keep(self, item: Held) -> None:
         """Hold a message; past what may be held, the oldest goes: it is missed when its turn comes."""
-        held = self._hold()
-        held.append(item)
-        self._note_seq(item)
-        self._count(item, 1)
-        while len(held) > 1 and (self._bytes > MAX_BYTES / 4 or self._all_bytes.all > MAX_BYTES):
-            gone = held.popleft()
-            self._count(gone, -1)
+        self.hold()
+        self._held.append(item)
+        while self._held.too_many:
+            gone = self._held.pop()
             if gone.command is not None:
                 gone.command()
             elif gone.head is None or not gone.head[2]:
                 self._intake.lost(gone.source, 1, "", range(0))  # nobody would miss it
-            else:
-                _, last = self._held_seqs[gone.source.sensor, gone.head[2]]
-                self._held_seqs[gone.source.sensor, gone.head[2]] = gone.head[1] + 1, last
-
-    def _note_seq(self, item: Held) -> None:
-        if item.head is not None:
-            _, seq, run = item.head
-            first, _ = self._held_seqs.get((item.source.sensor, run), (seq, seq))
-            self._held_seqs[item.source.sensor, run] = first, seq
-
-    def _hold(self) -> deque[Held]:
-        if self._held is None:
-            self._held = deque()
-            self._decided.wait_on(self.name, math.inf)
-        return self._held
-
-    def _count(self, item: Held, sign: int) -> None:
-        size = sign * (len(item.payload) + _MESSAGE_BYTES)
-        self._bytes += size
-        self._all_bytes.count(size)
 
     def _give_up(self, source: Source, run: str, seqs: range) -> None:
         """Count what is missing for good, but for what was decided in an earlier life."""
