@@ -15,6 +15,7 @@ from ogm_core.types import Scan
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_scan
+from ogm_services.mapper.intake.caches import Account, Caches
 from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, Message, ScanQueue
 from ogm_services.mapper.intake.worker import Worker
@@ -79,15 +80,28 @@ def subscribed(listener):
         subscriber.close()
 
 
+@pytest.fixture
+def published(listener, robot, eventually):
+    """`published(count)`: so many messages that are in the caches; none of them comes by itself any more."""
+    caches = Caches(listener, KEYS, lambda _: 1_000_000)
+
+    def make(count):
+        publish(robot, count)
+        # What a robot answers comes after all that it has published before.
+        eventually(lambda: caches.ask("r", caches.keys_of("r"), "_max=1", Account()).messages)
+
+    return make
+
+
 def publish(robot, count, first=0):
     for stamp in range(first, first + count):
         robot.publish_pose(0.0, 0.0, 0.0, stamp=stamp)
         robot.publish_scan([1.0] * 20, sensor="s", stamp=stamp, **SWEEP)
 
 
-def test_a_backlog_fills_no_more_than_its_part_of_the_queue(robot, subscribed, eventually):
+def test_a_backlog_fills_no_more_than_its_part_of_the_queue(published, subscribed, eventually):
     """600 scans and as many poses for a queue of 100 scans, that are worked off slowly."""
-    publish(robot, 600)
+    published(600)
     queue, most, taken = ScanQueue(100), [0], []
 
     def work():
@@ -110,8 +124,8 @@ def test_a_backlog_fills_no_more_than_its_part_of_the_queue(robot, subscribed, e
     assert 10 < most[0] <= 26
 
 
-def test_what_was_decided_is_neither_received_nor_queued(robot, subscribed, eventually):
-    publish(robot, 50)
+def test_what_was_decided_is_neither_received_nor_queued(published, subscribed, eventually):
+    published(50)
     decided = Decided(s=29)
     decided.seqs[None, "a"] = set(range(45))
     decided.seqs["s", "a"] |= {35, 36}
