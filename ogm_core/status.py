@@ -1,4 +1,6 @@
-"""What a mapper says of itself: its status, as it stands in JSON, name by name and in this order.
+"""What a mapper says of itself: its status, and the maps that it has saved, as they stand in JSON.
+
+Name by name and in this order.
 
 A field that is added later gets a default value, so that whoever reads the status of an older mapper has one.
 """
@@ -139,6 +141,31 @@ class StoreInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class SnapshotInfo:
+    """A map that was saved under a name: which one it is (`epoch`, `run`, `revision`), and its newest stamp.
+
+    `saved` is when, ns since the Unix epoch, and `bytes` what its file takes. `damage` says what is wrong
+    with the file, None of most; the map is not known then.
+    """
+
+    name: str
+    epoch: str
+    run: str
+    revision: int
+    stamp: int | None
+    saved: int
+    bytes: int
+    damage: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotList:
+    """The maps that are saved, by name."""
+
+    snapshots: list[SnapshotInfo]
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
@@ -160,8 +187,8 @@ class Status:
     store: StoreInfo | None = None
 
 
-def encode_status(status: Status) -> bytes:
-    """JSON form of a status."""
+def encode_status(status: Status | SnapshotInfo | SnapshotList) -> bytes:
+    """JSON form of a status, or of what is said of saved maps."""
     return json.dumps(status, default=_by_name).encode()
 
 

@@ -23,9 +23,9 @@ def grid_of(model=None, epoch="epoch1", **changes):
 
 
 def fingerprint(grid, placing=None, *, epoch=True):
-    """Of everything that is told of a map and every bit of its cells; and of a placing state."""
+    """Of all that is told of a map, its writer's run aside, and of its cells; and of a placing state."""
     snapshot = grid.snapshot()
-    told = {**snapshot.meta(), "updates": grid.cell_updates, "bytes": grid.nbytes}
+    told = {**snapshot.meta(), "run": "", "updates": grid.cell_updates, "bytes": grid.nbytes}
     if not epoch:
         del told["epoch"]
     digest = hashlib.sha256(json.dumps(told).encode())
@@ -76,6 +76,12 @@ class Story:
     def now(self):
         """The fingerprint of this moment's state."""
         return fingerprint(self.grid, self.placing)
+
+
+def saved(store, name, settings):
+    """The map that is saved under a name."""
+    with store.snapshots.opened(name) as snapshot:
+        return snapshot.grid(settings)
 
 
 def restored(store, settings):

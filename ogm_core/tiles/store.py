@@ -71,10 +71,10 @@ class TileStore:
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.tiles_used = 0
-        stored = self.planes.values()
-        self.tile_bytes = sum(plane.tile_cells * plane.cells.itemsize for plane in stored)
+        self.tile_bytes = tile_bytes(planes)
         """Memory of one tile, all planes together."""
-        self._table_bytes = self.touched.nbytes + sum(plane.column.nbytes for plane in stored)
+        columns = sum(plane.column.nbytes for plane in self.planes.values())
+        self._table_bytes = self.touched.nbytes + columns
 
     def _reserve(self, plane: Plane, shape: tuple[int, int]) -> StoredPlane:
         width = TILE * plane.side
@@ -226,6 +226,11 @@ class TileStore:
         right, top = left + rect.width - 1, bottom + rect.height - 1
         met = self.touched[left // TILE : right // TILE + 1, bottom // TILE : top // TILE + 1]
         return met.size - int(np.count_nonzero(met))
+
+
+def tile_bytes(planes: tuple[Plane, ...]) -> int:
+    """Memory of one tile of these planes together."""
+    return sum(_TILE_CELLS * plane.side**2 * np.dtype(plane.dtype).itemsize for plane in planes)
 
 
 def tiles_met(rect: CellRect) -> int:

@@ -37,7 +37,8 @@ def test_keys_are_those_of_the_contract():
     assert KEYS.alive("mapper", "id1", "run1") == "ogm/v1/lab/alive/mapper/id1/run1"
     assert KEYS.truth == "ogm/v1/lab/truth"
     assert [KEYS.service(name) for name in get_args(Service)] == [
-        f"ogm/v1/lab/{name}" for name in ("map", "cell", "quality", "status", "reset")
+        f"ogm/v1/lab/{name}"
+        for name in ("map", "cell", "quality", "status", "snapshots", "reset", "save", "restore", "delete")
     ]
 
 

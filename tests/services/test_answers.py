@@ -18,8 +18,10 @@ from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import answers as answers_module
+from ogm_services.mapper.serving import map_formats as formats_module
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
-from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.replies.answer import UnknownName
 from status_json import as_json
 
@@ -39,13 +41,13 @@ class Desk:
             self._count(monkeypatch, name)
 
     def _count(self, monkeypatch, name):
-        encode = getattr(answers_module, f"encode_{name}")
+        encode = getattr(formats_module, f"encode_{name}")
 
         def counted(*arguments):
             self.encoded.append(name)
             return encode(*arguments)
 
-        monkeypatch.setattr(answers_module, f"encode_{name}", counted)
+        monkeypatch.setattr(formats_module, f"encode_{name}", counted)
         if name == "png":  # that of the whole map is kept up to date
             png = answers_module.MapPicture.png
             monkeypatch.setattr(
@@ -154,7 +156,7 @@ def test_an_unknown_format_is_told_with_those_there_are(desk, form):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"regoin": "0,0,1,1"}, "regoin: unknown parameter; there are: max_size, palette, region"),
+        ({"regoin": "0,0,1,1"}, "regoin: unknown parameter; there are: at, max_size, palette, region"),
         ({"region": "0,0,1"}, "region: xmin,ymin,xmax,ymax is needed, got '0,0,1'"),
         ({"region": "0,0,1,x"}, "region: a number is needed, got 'x'"),
         ({"region": "7,7,8,8"}, "lies wholly outside the map, x 0.5 to 2.5, y 0 to 0.5 m"),

@@ -13,8 +13,11 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
-from ogm_services.mapper.serving import answers as answers_module
-from ogm_services.mapper.serving.answers import LARGE_AT_ONCE, MAP_FORMATS, Answers
+from ogm_services.mapper.serving import large_answers as large_module
+from ogm_services.mapper.serving import map_formats as formats_module
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.large_answers import LARGE_AT_ONCE
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.replies.answer import Busy
 from ogm_services.replies.in_flight import InFlight
 
@@ -39,7 +42,7 @@ class Desk:
 @pytest.fixture
 def slow(monkeypatch):
     """JSON of more than 1000 cells is encoded once this is set; `slow.begun` counts who has come to it."""
-    go_on, encode = threading.Event(), answers_module.encode_json
+    go_on, encode = threading.Event(), formats_module.encode_json
     go_on.begun = 0
 
     def slowly(snapshot, *rest):
@@ -48,7 +51,7 @@ def slow(monkeypatch):
             assert go_on.wait(DEADLINE)
         return encode(snapshot, *rest)
 
-    monkeypatch.setattr(answers_module, "encode_json", slowly)
+    monkeypatch.setattr(formats_module, "encode_json", slowly)
     yield go_on
     go_on.set()
 
@@ -75,7 +78,7 @@ def test_no_answer_takes_more_to_make_than_is_held_for_it(form, given, monkeypat
 @pytest.mark.parametrize("form", ["json", "npz", "pgm", "yaml"])
 def test_what_has_no_room_is_not_even_begun(form, monkeypatch):
     desk = Desk(50.0, limit=MIB)
-    monkeypatch.setattr(answers_module, f"encode_{form}", None)
+    monkeypatch.setattr(formats_module, f"encode_{form}", None)
     with (
         desk.in_flight.making(MIB),
         pytest.raises(Busy, match=r"making this one takes \d+ MiB: try again later"),
@@ -99,10 +102,10 @@ def test_it_is_held_while_it_is_made_and_given_back(slow, in_background, eventua
 def test_large_answers_take_half_of_the_threads_and_small_ones_find_the_others(
     slow, region, monkeypatch, in_background, eventually
 ):
-    monkeypatch.setattr(answers_module, "LARGE", 1000)
+    monkeypatch.setattr(large_module, "LARGE", 1000)
     desk = Desk(20.0)
     made = [in_background(desk.answers.map, "json", {"region": region(k)}) for k in range(LARGE_AT_ONCE)]
-    eventually(lambda: desk.answers._large._value == 0)
+    eventually(lambda: desk.answers._large._places._value == 0)
     with pytest.raises(Busy, match="4 answers of more than 1000 cells are being made: try again later"):
         desk.answers.map("npz", {})
     assert desk.answers.map("json", {"region": "0,0,2,2"}).body
@@ -116,7 +119,7 @@ def test_large_answers_take_half_of_the_threads_and_small_ones_find_the_others(
 def test_readers_of_large_maps_are_told_over_http_and_zenoh_to_come_later(
     slow, mapper, monkeypatch, in_background, eventually
 ):
-    monkeypatch.setattr(answers_module, "LARGE", 1000)
+    monkeypatch.setattr(large_module, "LARGE", 1000)
     mapper.scan([30.0] * 60, pose=[0.0, 0.0, 0.0], range_max=40.0)
     mapper.settle(received=1)
     for k in range(LARGE_AT_ONCE):

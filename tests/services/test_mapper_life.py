@@ -15,10 +15,10 @@ from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.live import load
-from ogm_services.mapper.serving.answers import MAP_FORMATS
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe, HttpThread
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Unavailable
@@ -37,7 +37,7 @@ class BrokenAnswers:
         return answer
 
 
-def refuse(_):
+def refuse(*_, **__):
     raise Unavailable("busy")
 
 
@@ -45,7 +45,8 @@ def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
     shares = Shares(waiting=4)
-    app = build_app(BrokenAnswers(), health, reset, Metrics(), hosts=["mapper"], shares=shares)
+    writes = dict.fromkeys(("reset", "save", "restore", "delete"), reset)
+    app = build_app(BrokenAnswers(), health, writes, Metrics(), hosts=["mapper"], shares=shares)
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
@@ -94,7 +95,7 @@ def test_a_bug_is_logged_and_told_without_its_innards(caplog, path):
 
 
 def test_a_reset_that_cannot_be_done_is_told():
-    def refuse_parameter(_):
+    def refuse_parameter(*_, **__):
         raise BadParameter("no")
 
     assert problem(ask("POST", "/reset")) == (503, "unavailable")

@@ -14,6 +14,7 @@ from status_json import NO_POSES
 HIT = math.log(0.7 / 0.3)
 ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
 ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
+WRITES = {"/reset": "post", "/save": "post", "/restore": "post", "/snapshots/{name}": "delete"}
 
 
 def problem(response):
@@ -243,23 +244,24 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
     assert document["openapi"].startswith("3.")
     assert document["info"]["title"] == "zenoh-ogm mapper"
     paths = document["paths"]
-    assert set(paths) == {*ROUTES, "/reset"}
-    assert [path for path, item in paths.items() if set(item) != {"get"}] == ["/reset"]
-    assert set(paths["/reset"]) == {"post"}
+    assert set(paths) == {*ROUTES, "/snapshots", *WRITES}
+    assert {path: set(item) for path, item in paths.items() if set(item) != {"get"}} == {
+        path: {method} for path, method in WRITES.items()
+    }
     named = {
         path: {parameter["name"] for parameter in item["get"].get("parameters", [])}
         for path, item in paths.items()
         if "get" in item
     }
     assert {path: names for path, names in named.items() if names} == {
-        "/map.png": {"region", "palette", "max_size"},
-        "/map.json": {"region", "values"},
-        "/map.pgm": {"region", "palette"},
-        "/map.yaml": {"region"},
-        "/map.npz": {"region"},
+        "/map.png": {"region", "at", "palette", "max_size"},
+        "/map.json": {"region", "at", "values"},
+        "/map.pgm": {"region", "at", "palette"},
+        "/map.yaml": {"region", "at"},
+        "/map.npz": {"region", "at"},
         "/cell": {"x", "y"},
     }
-    for path in named:
+    for path in ROUTES:
         operation = paths[path]["get"]
         assert operation["summary"] not in ("", "Handle")
         served = cross.http.get(path if path != "/cell" else "/cell?x=0&y=0").headers["content-type"]

@@ -15,7 +15,7 @@ from ogm_services.cli import app
 from ogm_services.mapper.storage.folder_lock import StoreInUse
 from ogm_services.mapper.storage.map_store import MapStore
 from ogm_services.mapper.storage.repair import repair
-from stored_maps import Story, fingerprint, grid_of
+from stored_maps import Story, fingerprint, grid_of, saved
 
 
 def stored(folder, model=None, **changes):
@@ -24,7 +24,7 @@ def stored(folder, model=None, **changes):
         story = Story(store, grid_of(model, **changes))
         story.integrate(8)
         story.commit()
-        store.snapshots.save("one")
+        store.save("one")
     return story
 
 
@@ -111,7 +111,7 @@ def test_a_store_that_is_whole_is_saved_as_it_is(tmp_path, story):
         story.grid, story.placing, epoch=False
     )
     with MapStore(tmp_path / "new") as store:
-        assert fingerprint(store.snapshots.read("one", story.grid.settings)) == fingerprint(story.grid)
+        assert fingerprint(saved(store, "one", story.grid.settings)) == fingerprint(story.grid)
 
 
 def test_rows_that_are_missing_are_counted(tmp_path, story):

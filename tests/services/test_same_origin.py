@@ -4,9 +4,10 @@ import httpx
 import pytest
 
 
-def post(mapper, path, headers):
+def post(mapper, path, headers, method="POST"):
     host = mapper.http.base_url.netloc.decode()
-    return mapper.http.post(path, headers={name: value.format(host=host) for name, value in headers.items()})
+    sent = {name: value.format(host=host) for name, value in headers.items()}
+    return mapper.http.request(method, path, headers=sent)
 
 
 @pytest.mark.parametrize(
@@ -36,6 +37,9 @@ def test_a_page_of_another_origin_cannot_empty_the_map(cross, headers):
         assert (body["type"], body["status"], body["title"]) == ("cross-origin", 403, "Forbidden")
         assert body["detail"].startswith(f"POST {path.partition('?')[0]}: refused: a page of another")
         assert "a program that is no browser" in body["detail"]
+    for path in ("/save?name=a", "/restore?name=a"):
+        assert post(cross, path, headers).status_code == 403
+    assert post(cross, "/snapshots/a", headers, method="DELETE").status_code == 403
     after = cross.status()
     assert (after["epoch"], after["revision"]) == (before["epoch"], 3)
 

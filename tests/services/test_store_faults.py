@@ -146,12 +146,41 @@ def test_a_snapshot_that_has_no_room_is_not_there(disk):
         story.commit()
         fill(disk)
         with pytest.raises(DiskFull, match=r"snapshots/one\.sqlite: cannot be written"):
-            store.snapshots.save("one")
+            store.save("one")
         assert store.snapshots.list() == []
         (disk / "filler").unlink()
-        store.snapshots.save("one")
+        store.save("one")
         assert [snapshot.name for snapshot in store.snapshots.list()] == ["one"]
     assert [path.name for path in (disk / "map" / "snapshots").iterdir()] == ["one.sqlite"]
+
+
+def test_a_disk_that_is_full_is_told_to_who_saves_and_who_restores(disk, start_mapper, eventually):
+    """What is restored is the map all the same, and is stored once there is room."""
+    with start_mapper(mapper={"data": str(disk / "map")}) as mapper:
+        mapper.draw_cross()
+        mapper.http.post("/save?name=one").raise_for_status()
+        then = mapper.http.get("/map.npz").content
+        mapper.draw_cross(revision=3)
+        eventually(lambda: mapper.status()["store"]["revision"] == 6)
+        fill(disk)
+        for path, said in (
+            ("/save?name=two", "snapshots/two.sqlite: cannot be written"),
+            ("/restore?name=one", "the map is one now, but is not stored yet, which is tried again: "),
+        ):
+            response = mapper.http.post(path)
+            problem = response.json()
+            assert (response.status_code, problem["type"]) == (507, "disk-full")
+            assert said in problem["detail"]
+        assert [saved["name"] for saved in mapper.http.get("/snapshots").json()["snapshots"]] == ["one"]
+        assert mapper.http.get("/map.npz").content == then == mapper.http.get("/map.npz?at=one").content
+        eventually(lambda: mapper.status()["store"]["failing"])
+        (disk / "filler").unlink()
+        eventually(lambda: mapper.status()["store"]["failing"] is None)
+        status = mapper.status()
+        assert (status["revision"], status["store"]["revision"]) == (3, 3)
+    with MapStore(disk / "map") as store:
+        found = store.restore(mapper.service.parts.grid_settings)
+        assert (found.grid.epoch, found.grid.revision) == (status["epoch"], 3)
 
 
 def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventually, caplog):

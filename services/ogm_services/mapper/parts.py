@@ -39,6 +39,8 @@ from ogm_services.mapper.serving.load_metrics import (
     store_metrics,
 )
 from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.mapper.serving.saved_maps import SavedMaps
+from ogm_services.mapper.serving.writes import Writes
 from ogm_services.mapper.storage.kept_map import KeptMap
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.limited_log import LimitedLog
@@ -170,11 +172,17 @@ class Parts:
         memory = self.memory
         self.in_flight = in_flight = InFlight(self.limits.answer_bytes, memory.left, memory.make_room)
         """Any thread."""
+        kept, map_name = self.kept_map, settings.network.map_name
         self.answers = Answers(
-            *(settings.network.map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set),
+            *(map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set),
             memory=memory,
             in_flight=in_flight,
-            store=None if self.kept_map is None else self.kept_map.info,
+            store=None if kept is None else kept.info,
+            saved=None
+            if kept is None
+            else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
         )
+        """The threads of the shares ask."""
+        self.writes = Writes(self.answers, self.live_map, self.grid_settings, self.worker, kept, in_flight)
         """The threads of the shares ask."""
         memory.add("answers", lambda: in_flight.held, in_flight.limit)

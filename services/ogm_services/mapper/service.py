@@ -10,7 +10,6 @@ import socket
 import sys
 import threading
 import time
-import uuid
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -55,8 +54,6 @@ WORKER_TIME = 5.0
 """How long of that the worker may take to finish the scan in hand, s; no scan within the limits does."""
 
 log = logging.getLogger(__name__)
-reset_log = logging.getLogger(f"{__name__}.reset")
-"""Of its own, so that a flood of resets keeps no other line out."""
 
 
 class NotStopped(OgmError):
@@ -211,17 +208,6 @@ class MapperService:
                 if not alive:
                     raise ServiceStopped(f"{name} has stopped by itself, so the mapper ends: start it again")
 
-    def reset(self, who: str) -> None:
-        """Empty the map, after every message that has arrived; the log says who has asked for it."""
-        self.answers.check_ready()
-        epoch = uuid.uuid4().hex
-
-        def empty() -> None:
-            self.live_map.reset(epoch)
-            reset_log.info("%s has reset the map: epoch %s", who, epoch)
-
-        self.parts.worker.do(empty)
-
     def totals(self) -> str:
         """What became of the scans, and how long that took, in words."""
         scans, seconds = self.parts.receipts.status().scans, time.monotonic() - self._started
@@ -258,7 +244,7 @@ class MapperService:
         opening.callback(subscriber.close)
         others.claim()
         opening.enter_context(self._http(listener))
-        routes.declare(self.answers, self.reset, zenoh_shares)
+        routes.declare(self.answers, self.parts.writes.by_name(), zenoh_shares)
         _warm_up(self.parts.grid_settings)
         others.serve()
         # From here on the map changes: what is to outlive the worker, and see its last change, opens before.
@@ -290,7 +276,7 @@ class MapperService:
     def _http(self, listener: socket.socket) -> HttpThread:
         http = self._settings.http
         app = build_app(
-            *(self.answers, self.parts.health, self.reset, self.parts.metrics),
+            *(self.answers, self.parts.health, self.parts.writes.by_name(), self.parts.metrics),
             hosts=(*http.hosts, http.host),
             token=self._token,
             shares=self._http_shares,

@@ -8,6 +8,12 @@ from ogm_core.errors import BadInput, BadParameter, OgmError, cut
 
 Parameters = Mapping[str, str]
 
+NO_SNAPSHOTS = (
+    "this mapper stores no map, and so has no snapshots: start it with a folder for them, --data DIR "
+    "(mapper.data)"
+)
+"""What a `NotStored` says."""
+
 
 def refuse_parameters(given: Parameters, name: str) -> None:
     """Refuse any parameter of what has none.
@@ -23,6 +29,24 @@ class UnknownName(OgmError):
     """Nothing of that name is served."""
 
     slug = "not-found"
+
+
+class UnknownSnapshot(UnknownName):
+    """No map is saved under that name."""
+
+    slug = "unknown-snapshot"
+
+
+class NameTaken(BadParameter):
+    """A map is saved under that name already."""
+
+    slug = "name-taken"
+
+
+class NotStored(OgmError):
+    """The mapper stores no map, so that none can be saved, now or later."""
+
+    slug = "not-stored"
 
 
 class Changed(OgmError):
@@ -62,7 +86,7 @@ class Busy(OgmError):
 
 
 class Unavailable(OgmError):
-    """The worker did not get to a command: the mapper is stopping, or far behind."""
+    """The mapper cannot do it now: it is stopping, far behind, or its disk fails. Later it may."""
 
     slug = "unavailable"
 

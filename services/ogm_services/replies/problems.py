@@ -8,12 +8,14 @@ a thread that may wait for links in `replies/error_replies.py`.
 import http
 import json
 
-from ogm_core.errors import BadInput, MapEmpty, OgmError
+from ogm_core.errors import BadInput, BadStore, DiskFull, MapEmpty, OgmError
 from ogm_services.replies.answer import (
     Busy,
     Changed,
     CrossOrigin,
     ForeignHost,
+    NameTaken,
+    NotStored,
     Unauthorized,
     Unavailable,
     UnknownName,
@@ -25,6 +27,8 @@ MEDIA_TYPE = "application/problem+json"
 _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (MapEmpty, 404),
     (UnknownName, 404),
+    (NameTaken, 409),
+    (BadStore, 500),
     (BadInput, 400),
     (Unauthorized, 401),
     (CrossOrigin, 403),
@@ -32,6 +36,8 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (Changed, 412),
     (Busy, 503),
     (Unavailable, 503),
+    (NotStored, 503),
+    (DiskFull, 507),
 )
 
 # What is refused below the application, or by its router: no error of ours was raised.

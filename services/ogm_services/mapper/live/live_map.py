@@ -73,11 +73,11 @@ class _State(NamedTuple):
 class LiveMap:
     """An `OccupancyGrid` with one writer and many readers.
 
-    Who owns what: only the worker thread calls `integrate` and `reset`, and `_writing` is held while a kernel
-    runs or tiles that have changed are copied out. After each change the writer replaces `_state`, a tuple
-    that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads) share the newest
-    snapshot, which nobody changes; `_reading` keeps them from making the same copy twice. Figures have locks
-    of their own, so that who waits for them holds up nobody else.
+    Who owns what: only the worker thread calls `integrate`, `reset` and `become`, and `_writing` is held
+    while a kernel runs or tiles that have changed are copied out. After each change the writer replaces
+    `_state`, a tuple that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads)
+    share the newest snapshot, which nobody changes; `_reading` keeps them from making the same copy twice.
+    Figures have locks of their own, so that who waits for them holds up nobody else.
     """
 
     def __init__(self, grid: OccupancyGrid, memory: MemoryUse | None = None) -> None:
@@ -120,6 +120,16 @@ class LiveMap:
         """Writer: empty the map."""
         with self._writing:
             self._grid.reset(epoch)
+            self._state = self._told()
+            self._recent.clear()
+
+    def become(self, grid: OccupancyGrid) -> None:
+        """Writer: go on with another map on the same lattice, which is this one's from now on.
+
+        Its epoch is none that this map has had; its run is this process's.
+        """
+        with self._writing:
+            self._grid = grid
             self._state = self._told()
             self._recent.clear()
 

@@ -2,25 +2,11 @@
 
 import json
 import math
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from ogm_core.errors import BadParameter, cut
-from ogm_core.files.map_files import (
-    DEFAULT_PALETTE,
-    PALETTES,
-    encode_json,
-    encode_npz,
-    encode_pgm,
-    encode_png,
-    encode_yaml,
-)
+from ogm_core.files.map_files import DEFAULT_PALETTE, PALETTES
 from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
@@ -30,52 +16,21 @@ from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
 from ogm_services.mapper.serving.kept_status import KeptStatus
-from ogm_services.replies.answer import Answer, Busy, Parameters, Starting, UnknownName
+from ogm_services.mapper.serving.large_answers import LargeAnswers
+from ogm_services.mapper.serving.map_formats import (
+    MAP_FORMATS,
+    MapFormat,
+    bytes_to_make,
+    check_names,
+    map_format,
+    number,
+    region_of,
+    shrunk,
+)
+from ogm_services.mapper.serving.saved_maps import SavedMaps
+from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
-from ogm_services.settings.values import parse_number
-
-LARGE = 10_000_000
-"""Answers that look at more cells take seconds."""
-LARGE_AT_ONCE = 4
-"""So many of them are made or waited for at a time: half of the threads that a protocol has for maps."""
-
-
-@dataclass(frozen=True, slots=True)
-class _MapFormat:
-    media_type: str
-    parameters: frozenset[str]
-    cost: float
-    """Bytes that are held for each byte of the map's cells while it is made, with its body, at most."""
-    encode: Callable[[MapSnapshot, str, Parameters], bytes]
-
-
-MAP_FORMATS: dict[str, _MapFormat] = {
-    "png": _MapFormat(
-        "image/png",
-        frozenset({"region", "palette", "max_size"}),
-        4.0,  # cells of a block by their levels, while it is shrunk; else 2
-        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", DEFAULT_PALETTE)),
-    ),
-    "json": _MapFormat(
-        "application/json",
-        frozenset({"region", "values"}),
-        4.0,  # text of 4 bytes a cell, twice
-        lambda snapshot, name, given: encode_json(snapshot, name, given.get("values", "percent")),
-    ),
-    "pgm": _MapFormat(
-        "image/x-portable-graymap",
-        frozenset({"region", "palette"}),
-        1.5,  # 3 bytes a cell
-        lambda snapshot, _, given: encode_pgm(snapshot, given.get("palette", DEFAULT_PALETTE)),
-    ),
-    "yaml": _MapFormat(
-        "application/yaml", frozenset({"region"}), 1.5, lambda snapshot, *_: encode_yaml(snapshot, "map.pgm")
-    ),
-    "npz": _MapFormat(
-        "application/x-npz", frozenset({"region"}), 6.0, lambda snapshot, *_: encode_npz(snapshot)
-    ),
-}
 
 
 class Answers:
@@ -94,10 +49,12 @@ class Answers:
         memory: MemoryUse | None = None,
         in_flight: InFlight | None = None,
         store: Callable[[], StoreInfo] | None = None,
+        saved: SavedMaps | None = None,
     ) -> None:
         """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
 
-        `in_flight` counts what is being made. `store` tells of the map on disk; None: it is not stored.
+        `in_flight` counts what is being made. `store` tells of the map on disk, and `saved` of those
+        that are saved; None: nothing is stored.
         """
         self._map_name = map_name
         self._map = live_map
@@ -107,7 +64,8 @@ class Answers:
         self._memory = memory
         self._in_flight = in_flight or InFlight()
         self._store = store
-        self._large = threading.Semaphore(LARGE_AT_ONCE)
+        self._saved = saved
+        self._large = LargeAnswers() if saved is None else saved.large
         self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
         """Bytes of answers that one cache may keep."""
         self._cache = AnswerCache(self.now, self.cache_room)
@@ -141,25 +99,26 @@ class Answers:
             raise Starting("the mapper is starting: ask again in a few seconds")
 
     def map(self, form: str, given: Parameters) -> Answer:
-        """The map in a format of MAP_FORMATS.
+        """The map in a format of MAP_FORMATS; with the parameter `at`, one that is saved under a name.
 
         Raises:
-            UnknownName: there is no such format.
+            UnknownName: there is no such format, or no map of that name.
+            NotStored: there are no saved maps here.
             BadParameter: a parameter is unknown or ill-formed, or its region misses the map.
             MapEmpty: a picture of a map without a known cell.
             Busy: it is large, and there is no memory or no thread left for it.
         """
         self.check_ready()
-        if form not in MAP_FORMATS:
-            raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {cut(form)!r}")
-        wanted = MAP_FORMATS[form]
-        _check_names(given, wanted.parameters)
+        wanted = map_format(form, given)
+        if "at" in given:
+            rest = {name: value for name, value in given.items() if name != "at"}
+            return self.saved.map(given["at"], wanted, rest)
         asked = self._map.now
         key = (form, tuple(sorted(given.items())))
         answer = self._cache.find(key, asked)
         if answer is None:
-            region = _region_of(given)
-            with self._not_too_many(form, given, region), self._cache.turn(key):
+            region = region_of(given)
+            with self._large.making(self._cells(form, given, region)), self._cache.turn(key):
                 # Whoever had the turn before may have encoded a map that is new enough for this one too.
                 answer = self._cache.find(key, asked) or self._encoded(wanted, given, region, key)
         return answer
@@ -168,28 +127,21 @@ class Answers:
         """Epoch, revision and stamp of the map at this moment; waits for nobody."""
         return self._map.now
 
-    @contextmanager
-    def _not_too_many(self, form: str, given: Parameters, region: Region | None) -> Iterator[None]:
-        """Let so few large answers be made, or waited for, that small ones always find a thread."""
-        kept = form == "png" and given.keys() <= {"palette"}  # the picture that is kept up to date is quick
-        large = not kept and self._map.cells_in(region) > LARGE
-        if large and not self._large.acquire(blocking=False):
-            raise Busy(
-                f"{LARGE_AT_ONCE} answers of more than {LARGE} cells are being made: "
-                "try again later, or ask for a smaller region"
-            )
-        try:
-            yield
-        finally:
-            if large:
-                self._large.release()
+    def _cells(self, form: str, given: Parameters, region: Region | None) -> int:
+        """How many cells an answer looks at; the picture that is kept up to date looks at few."""
+        kept = form == "png" and given.keys() <= {"palette"}
+        return 0 if kept else self._map.cells_in(region)
 
-    def _encoded(self, wanted: _MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
+    def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
         snapshot = self._map.snapshot()
         cropped = snapshot if region is None else snapshot.crop(region)
         picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
-        with self._in_flight.making(_bytes_to_make(wanted, cropped, picture)):
-            shown = _shrunk(cropped, given)
+        if picture is None:
+            size = bytes_to_make(wanted, cropped.model, cropped.width * cropped.height)
+        else:  # only what has changed is encoded, and what was is put together
+            size = 2 * picture.nbytes + cropped.width * cropped.height // 16
+        with self._in_flight.making(size):
+            shown = shrunk(cropped, given)
             if picture is not None:
                 body = picture.png(snapshot)
             else:
@@ -200,11 +152,28 @@ class Answers:
             self._memory.make_room()
         return answer
 
-    def _picture_of(self, wanted: _MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
+    def _picture_of(self, wanted: MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
         if wanted is not MAP_FORMATS["png"] or whole.empty or "max_size" in given:
             return None
         return self._pictures.get(given.get("palette", DEFAULT_PALETTE))
+
+    @property
+    def saved(self) -> SavedMaps:
+        """The maps that are saved.
+
+        Raises:
+            NotStored: there can be none.
+        """
+        if self._saved is None:
+            raise NotStored(NO_SNAPSHOTS)
+        return self._saved
+
+    def snapshots(self, given: Parameters) -> Answer:
+        """The maps that are saved, by name."""
+        check_names(given, ())
+        self.check_ready()
+        return self.saved.list()
 
     def cell(self, given: Parameters) -> Answer:
         """One cell: indices, whether it is known, and its log odds and probability if so.
@@ -213,8 +182,8 @@ class Answers:
             BadParameter: x or y is missing or is not a coordinate.
         """
         self.check_ready()
-        _check_names(given, {"x", "y"})
-        x, y = (_number(name, given.get(name)) for name in "xy")
+        check_names(given, {"x", "y"})
+        x, y = (number(name, given.get(name)) for name in "xy")
         snapshot = self._map.snapshot()
         ix, iy = snapshot.lattice.cell_of(x, y)
         column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
@@ -230,12 +199,12 @@ class Answers:
 
     def quality(self, given: Parameters) -> Answer:
         """The quality figures, those against the true world if there is one, and how they have settled."""
-        _check_names(given, ())
+        check_names(given, ())
         return _json(self.quality_fields())
 
     def status(self, given: Parameters) -> Answer:
         """The mapper's status."""
-        _check_names(given, ())
+        check_names(given, ())
         self.check_ready()
         return Answer(self._status.get().body, "application/json")
 
@@ -272,48 +241,6 @@ class Answers:
             uptime_s=time.monotonic() - self._started,
             store=None if self._store is None else self._store(),
         )
-
-
-def _check_names(given: Parameters, allowed: frozenset[str] | set[str] | tuple[()]) -> None:
-    for name in given:
-        if name not in allowed:
-            listed = ", ".join(sorted(allowed)) or "none"
-            raise BadParameter(f"{cut(name)}: unknown parameter; there are: {listed}")
-
-
-def _bytes_to_make(wanted: _MapFormat, snapshot: MapSnapshot, picture: MapPicture | None) -> int:
-    cells = snapshot.width * snapshot.height
-    if picture is not None:  # only what has changed is encoded, and what was is put together
-        return 2 * picture.nbytes + cells // 16
-    cell = sum(np.dtype(plane.dtype).itemsize * plane.side**2 for plane in snapshot.model.planes)
-    return int(wanted.cost * cell * cells)
-
-
-def _region_of(given: Parameters) -> Region | None:
-    if "region" not in given:
-        return None
-    parts = given["region"].split(",")
-    if len(parts) != 4:
-        raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {cut(given['region'])!r}")
-    return Region(*(_number("region", part) for part in parts))
-
-
-def _shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
-    if "max_size" not in given:
-        return snapshot
-    text = given["max_size"]
-    if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) > 0):
-        raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {cut(text)!r}")
-    return snapshot.shrink(int(text))
-
-
-def _number(name: str, text: str | None) -> float:
-    if text is None:
-        raise BadParameter(f"{name}: missing")
-    try:
-        return parse_number(text)
-    except ValueError as error:
-        raise BadParameter(f"{name}: {error}") from None
 
 
 def _json(value: dict[str, Any]) -> Answer:

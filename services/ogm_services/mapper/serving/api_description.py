@@ -4,11 +4,13 @@ from collections.abc import Iterable
 from typing import Any
 
 from ogm_core.files.map_files import PALETTES, VALUES
+from ogm_core.wire.keys import NAME
 from ogm_services.replies.problems import MEDIA_TYPE
 
 Responses = dict[int | str, dict[str, Any]]
 
 _NUMBER = r"[-+]?[0-9]{1,6}(\.[0-9]{1,6})?"
+_NAME = {"type": "string", "pattern": f"^{NAME.pattern}$"}
 _PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
     "region": (
         "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
@@ -26,10 +28,15 @@ _PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
         "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
         {"type": "string", "enum": list(VALUES)},
     ),
+    "at": (
+        "the map as it was saved under this name (POST /save), in place of the live one",
+        _NAME,
+    ),
+    "name": ("of the saved map", _NAME),
     "x": ("metres, map frame", {"type": "number"}),
     "y": ("metres, map frame", {"type": "number"}),
 }
-_REQUIRED = frozenset("xy")
+_REQUIRED = frozenset({"x", "y", "name"})
 
 
 _PROBLEM = {
@@ -43,11 +50,13 @@ _PROBLEMS = {
     400: "The request is ill-formed, or a parameter is unknown or wrong",
     401: "A write needs the mapper's token",
     403: "A page of another origin asks for a write",
-    404: "The map has no known cell",
+    404: "The map has no known cell, or none is saved under this name",
+    409: "A map is saved under this name already",
     412: "The map is not the one that If-Match names",
     413: "The body is longer than a write's may be",
     421: "The Host header is no name of this mapper",
-    503: "The mapper is starting, stopping or busy: Retry-After says when to ask again",
+    503: "The mapper is starting, stopping or busy: Retry-After says when to ask again; or it stores no map",
+    507: "The disk is full",
 }
 _MAP_HEADERS = {
     "ETag": '"<epoch>-<run>-<revision>", the validator for If-None-Match and If-Match',
@@ -61,12 +70,12 @@ _MAP_HEADERS = {
 _OF_EVERY_ROUTE = (400, 421)
 
 
-def described_parameters(names: Iterable[str]) -> list[dict[str, Any]]:
-    """The query parameters of a route, as OpenAPI describes them."""
+def described_parameters(names: Iterable[str], place: str = "query") -> list[dict[str, Any]]:
+    """The parameters of a route, as OpenAPI describes them; `place`: "query" or "path"."""
     return [
         {
             "name": name,
-            "in": "query",
+            "in": place,
             "required": name in _REQUIRED,
             "description": _PARAMETERS[name][0],
             "schema": _PARAMETERS[name][1],

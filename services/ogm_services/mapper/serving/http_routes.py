@@ -1,12 +1,10 @@
 """The mapper on HTTP: a FastAPI application over `Answers`. It knows names, bytes and headers, and no map."""
 
-import asyncio
 import importlib.metadata
 import logging
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib.resources import files
-from typing import TypeVar
 from urllib.parse import unquote_plus
 
 from fastapi import FastAPI, Request, Response
@@ -16,20 +14,17 @@ from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ogm_core.errors import BadParameter, OgmError, cut
-from ogm_core.status import Status
-from ogm_services.mapper.serving.answers import MAP_FORMATS, Answers
-from ogm_services.mapper.serving.api_description import (
-    Responses,
-    described_parameters,
-    map_responses,
-    probe_responses,
-    responses,
-)
+from ogm_core.errors import OgmError
+from ogm_core.status import SnapshotList, Status
+from ogm_core.wire.keys import Write
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.api_description import map_responses, probe_responses, responses
 from ogm_services.mapper.serving.bearer_token import BearerToken
+from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.in_pieces import InPieces
 from ogm_services.mapper.serving.known_hosts import KnownHosts
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
@@ -38,6 +33,8 @@ from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
+from ogm_services.mapper.serving.write_routes import add_write_routes
+from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
@@ -47,8 +44,6 @@ UNHEARD = "t"
 """Query parameter that viewers add, with a new value each time, lest a cache answers them."""
 
 log = logging.getLogger(__name__)
-Handler = Callable[[Request], Awaitable[Response]]
-_T = TypeVar("_T")
 
 
 class _NoStore:
@@ -88,7 +83,7 @@ class _WithoutUnheard:
 def build_app(
     answers: Answers,
     health: Health,
-    reset: Callable[[str], None],
+    writes: Mapping[Write, DoWrite],
     metrics: Metrics,
     *,
     hosts: Sequence[str] = (),
@@ -123,23 +118,17 @@ def build_app(
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(shares.maps, answers, ready, form), f"The map as {form.upper()}"
         described = map_responses(wanted.media_type)
-        _get(app, f"/map.{form}", handler, described, summary, sorted(wanted.parameters))
-    maps, plain = shares.maps, responses("application/json")
-    _get(app, "/cell", _handler(maps, answers.cell), plain, "One cell", ["x", "y"])
-    _get(app, "/quality", _handler(maps, answers.quality), plain, "The quality figures")
+        add_get(app, f"/map.{form}", handler, described, summary, sorted(wanted.parameters))
+    maps, described = shares.maps, responses("application/json")
+    add_get(app, "/cell", _handler(maps, answers.cell), described, "One cell", ["x", "y"])
+    saved = responses("application/json", SnapshotList)
+    add_get(app, "/snapshots", _handler(maps, answers.snapshots), saved, "The maps that are saved")
+    add_get(app, "/quality", _handler(maps, answers.quality), described, "The quality figures")
     status = _handler(shares.status, answers.status)
-    _get(app, "/status", status, responses("application/json", Status), "The mapper's status")
+    add_get(app, "/status", status, responses("application/json", Status), "The mapper's status")
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
-    described = responses("application/json", Status, problems=(401, 403, 413, 503))
-
-    @app.post("/reset", summary="Empty the map: a new epoch, revision 0", responses=described)
-    async def post_reset(request: Request) -> Response:
-        _parameters_of(request, allowed=False)
-        who = request.client.host if request.client else "somebody"
-        await _in_turn(shares.writes, partial(reset, f"{who} over HTTP"))
-        return _plain(await _in_turn(shares.status, partial(answers.status, {})))
-
+    add_write_routes(app, writes, shares.writes)
     app.add_exception_handler(OgmError, _ogm_error)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(Exception, _bug)
@@ -161,72 +150,34 @@ def _add_service_routes(
         return _probe(health.not_ready())
 
     async def show_metrics(_: Request) -> Response:
-        text = await _in_turn(turns, lambda: metrics.text(answers.current_status()))
+        text = await in_turn(turns, lambda: metrics.text(answers.current_status()))
         return PlainTextResponse(text, media_type=METRICS_TYPE)
 
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
 
-    _get(app, "/", show_page, responses("text/html"), "The live page")
-    _get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
-    _get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
-    _get(app, "/metrics", show_metrics, responses("text/plain"), "Metrics for Prometheus")
-    _get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
-
-
-def _get(
-    app: FastAPI,
-    path: str,
-    handler: Handler,
-    answers: Responses,
-    summary: str,
-    parameters: Sequence[str] = (),
-) -> None:
-    """Route GET and HEAD; what is documented here is made elsewhere."""
-    app.add_api_route(
-        path,
-        handler,
-        summary=summary,
-        response_class=Response,  # without a media type of its own, so that the described one stands alone
-        responses=answers,
-        openapi_extra={"parameters": described_parameters(parameters)} if parameters else None,
-    )
-    app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
-
-
-async def _in_turn(turns: Turns, answer: Callable[[], _T]) -> _T:
-    """What `answer` returns, made by a thread of that share; Busy if its turn does not come soon."""
-    return await asyncio.wrap_future(turns.take(answer))
+    add_get(app, "/", show_page, responses("text/html"), "The live page")
+    add_get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
+    add_get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
+    add_get(app, "/metrics", show_metrics, responses("text/plain"), "Metrics for Prometheus")
+    add_get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
 
 
 def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:
     async def handle(request: Request) -> Response:
-        return _plain(await _in_turn(turns, partial(answer, _parameters_of(request))))
+        return plain(await in_turn(turns, partial(answer, parameters_of(request))))
 
     return handle
 
 
 def _map_handler(turns: Turns, answers: Answers, ready: ReadyMaps, form: str) -> Handler:
     async def handle(request: Request) -> Response:
-        answer = await _in_turn(turns, partial(answers.map, form, _parameters_of(request)))
-        return ready.keep(request, answer)
+        given = parameters_of(request)
+        answer = await in_turn(turns, partial(answers.map, form, given))
+        # One that is saved under a name may be deleted while the map stays the same.
+        return ready.response(request, answer) if "at" in given else ready.keep(request, answer)
 
     return handle
-
-
-def _parameters_of(request: Request, *, allowed: bool = True) -> Parameters:
-    given: dict[str, str] = {}
-    for name, value in request.query_params.multi_items():
-        if name in given or not allowed:
-            raise BadParameter(
-                f"{cut(name)}: {'given twice' if allowed else 'unknown parameter; there are none'}"
-            )
-        given[name] = value
-    return given
-
-
-def _plain(answer: Answer) -> Response:
-    return Response(answer.body, media_type=answer.media_type)
 
 
 def _probe(trouble: str | None) -> Response:

@@ -69,6 +69,11 @@ class ReadyMaps:
                     self._size += size
         return ready.response_to(request.scope)
 
+    @staticmethod
+    def response(request: Request, answer: Answer) -> Response:
+        """The response to a request for a map that is not the live one; nothing is kept."""
+        return _ReadyMap(answer).response_to(request.scope)
+
 
 class _ReadyMap:
     """The responses that a map can be: itself, that it is the one known, that it is not the one wanted."""

@@ -1,15 +1,17 @@
 """The mapper's routes on Zenoh: queryables over `Answers`."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import partial
 from itertools import islice
 
 import zenoh
 
-from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.keys import MapKeys, Write
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.shares import Shares
-from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
+from ogm_services.mapper.serving.writes import DoWrite
+from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.queryables import Queryables
 
@@ -31,16 +33,11 @@ class ZenohRoutes:
         self._declared = ExitStack()
         self._queryables = Queryables(session, in_flight)
 
-    def declare(self, answers: Answers, reset: Callable[[str], None], shares: Shares) -> None:
+    def declare(self, answers: Answers, writes: Mapping[Write, DoWrite], shares: Shares) -> None:
         """Declare the queryables: from here on every question gets an answer, by the threads of `shares`."""
 
         def map_answer(given: Parameters) -> Answer:
             return answers.map(given.get("format", "json"), {k: v for k, v in given.items() if k != "format"})
-
-        def reset_answer(given: Parameters) -> Answer:
-            refuse_parameters(given, "reset")
-            reset("somebody over Zenoh")
-            return answers.status({})
 
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
@@ -48,7 +45,9 @@ class ZenohRoutes:
         declare(key("cell"), answers.cell, shares.maps)
         declare(key("quality"), answers.quality, shares.maps)
         declare(key("status"), answers.status, shares.status)
-        declare(key("reset"), reset_answer, shares.writes, exact=True)
+        declare(key("snapshots"), answers.snapshots, shares.maps)
+        for name, write in writes.items():
+            declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
 
     def ask_truth(self) -> list[zenoh.ZBytes]:
         """What simulators of this map say their world is, MAX_TOLD at most; [] at once if there is none.

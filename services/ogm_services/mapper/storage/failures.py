@@ -5,11 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm_core.errors import BadStore, DiskFull, OgmError
+from ogm_core.errors import BadStore, DiskFull
 from ogm_core.whole_files import NO_ROOM
+from ogm_services.replies.answer import Unavailable
 
 
-class StoreFails(OgmError):
+class StoreFails(Unavailable):
     """A map cannot be stored now; what is stored is what was stored before."""
 
     slug = "store-fails"

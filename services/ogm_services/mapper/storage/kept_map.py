@@ -10,11 +10,12 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.state import StateParts, state_of
-from ogm_core.status import StoreInfo
+from ogm_core.status import SnapshotInfo, StoreInfo
 from ogm_services.mapper.storage.checkpoints import Checkpoints, Encode, WrittenMap
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver
 from ogm_services.mapper.storage.map_store import MapStore
+from ogm_services.mapper.storage.snapshots import Snapshots
 
 
 class KeptMap:
@@ -30,6 +31,8 @@ class KeptMap:
             OgmError: as `MapStore`.
         """
         self._folder = folder
+        self.snapshots = Snapshots(folder)
+        """Any thread lists, reads and deletes them; `save` is below."""
         self._placing: Mapping[str, bytes] = {}
         self._saver = MapSaver(folder)
         self._saver.__enter__()
@@ -101,6 +104,22 @@ class KeptMap:
         """Store the map once a second from now on; the worker runs."""
         if self._checkpoints is not None:
             self._saver.keep(self._checkpoints.take)
+
+    def save(self, name: str) -> SnapshotInfo:
+        """Save the map of this moment under a name. Any thread but the worker; the worker runs.
+
+        Raises:
+            OgmError: as `MapSaver.save`.
+        """
+        return self._saver.save(name)
+
+    def store_now(self) -> None:
+        """Store the map of this moment: it is on the disk when this returns. Any thread but the worker.
+
+        Raises:
+            OgmError: it cannot be stored now; that is tried again.
+        """
+        self._saver.store_now()
 
     def finish(self) -> None:
         """Begin to store what is not stored yet, if the map was kept; `close` waits for it.

@@ -12,6 +12,7 @@ from typing import Any, Self, TypeVar
 
 from ogm_core.errors import OgmError
 from ogm_core.grid_settings import GridSettings
+from ogm_core.status import SnapshotInfo
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_store import MapStore
@@ -105,19 +106,34 @@ class MapSaver:
                 raise StoreFails(f"{self._folder}: the mapper is stopping, and the store is closed")
         return done.result()
 
-    def save(self, name: str) -> None:
+    def store_now(self) -> None:
+        """Store the map of this moment, if it is kept: it is on the disk when this returns.
+
+        Raises:
+            OgmError: it cannot be stored now.
+        """
+        self.do(self._stored_now)
+
+    def save(self, name: str) -> SnapshotInfo:
         """Save the map of this moment under a name.
 
         Raises:
             OgmError: it cannot be stored now, or as `Snapshots.save`.
         """
 
-        def job(store: MapStore) -> None:
-            if self._take is not None:
-                self._commit(store, self._take())
-            store.snapshots.save(name)
+        def job(store: MapStore) -> SnapshotInfo:
+            store.snapshots.check_free(name)
+            return store.save(name, self._stored_now(store))
 
-        self.do(job)
+        return self.do(job)
+
+    def _stored_now(self, store: MapStore) -> str | None:
+        """Store the map of this moment; the run of who writes it, if it is kept."""
+        if self._take is None:
+            return None
+        taken = self._take()
+        self._commit(store, taken)
+        return taken.run
 
     def _run(self) -> None:
         try:

@@ -16,6 +16,7 @@ from typing import Self
 
 from ogm_core.errors import BadStore
 from ogm_core.grid_settings import GridSettings
+from ogm_core.status import SnapshotInfo
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
@@ -50,7 +51,7 @@ class MapStore:
         self._lock = FolderLock(folder)
         try:
             self._connection = self._opened()
-            self.snapshots = Snapshots(folder, self._connection)
+            self.snapshots = Snapshots(folder)
         except BaseException:
             self._lock.release()
             raise
@@ -131,6 +132,10 @@ class MapStore:
         if whole or self._wal.stat().st_size > WAL_BYTES:
             with told_as_failure(self.path):
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def save(self, name: str, run: str | None = None) -> SnapshotInfo:
+        """Save the map that is stored under a name; see `Snapshots.save`."""
+        return self.snapshots.save(name, self._connection, run)
 
     def _opened(self) -> sqlite3.Connection:
         new = not self.path.exists()

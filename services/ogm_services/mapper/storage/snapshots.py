@@ -1,59 +1,87 @@
 """Named snapshots of a stored map: files beside it, each a store of its own, without placing state."""
 
 import sqlite3
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
-from ogm_core.errors import BadParameter, BadStore, cut
+from ogm_core.errors import BadParameter, BadStore, OgmError, cut
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.status import SnapshotInfo
+from ogm_core.tiles.store import tile_bytes
 from ogm_core.wire.keys import MAX_NAME, NAME
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
 from ogm_services.mapper.storage.layout import FILE, created_file, flush_folder, open_file
+from ogm_services.mapper.storage.map_settings import planes_in
 from ogm_services.mapper.storage.reading import read_map
-from ogm_services.replies.answer import UnknownName
+from ogm_services.mapper.storage.rows import StoredState
+from ogm_services.replies.answer import NameTaken, UnknownSnapshot
 
 FOLDER = "snapshots"
 _SUFFIX = ".sqlite"
+_MOST_NAMED = 20
 
 
-@dataclass(frozen=True)
-class NamedSnapshot:
-    """A snapshot as it is listed."""
+class SavedMap:
+    """A snapshot whose file is open: another of its name may take its place, and this one stays as it is."""
 
-    name: str
-    epoch: str
-    revision: int
-    stamp: int | None
-    nbytes: int
-    damage: str | None = None
-    """What is wrong with its file, so that the rest is not known; None of most."""
+    def __init__(self, connection: sqlite3.Connection, state: StoredState, path: Path, store: Path) -> None:
+        self._connection = connection
+        self._path = path
+        self._store = store
+        self.state = state
+
+    @property
+    def nbytes(self) -> int:
+        """What its tiles take in memory."""
+        return self.state.tiles * tile_bytes(planes_in(self.state.settings))
+
+    def grid(self, settings: GridSettings) -> OccupancyGrid:
+        """The map, value for value, every row of it checked.
+
+        Raises:
+            BadStore, BadSetting: as `read_map`.
+        """
+        restored = read_map(self._connection, settings, self._path, self._store)
+        assert restored is not None, "it has a state"
+        grid = restored.grid
+        grid.run = self.state.run
+        return grid
 
 
 class Snapshots:
-    """The named snapshots in a store's folder. The store's thread uses it."""
+    """The named snapshots in a store's folder. Any thread, but that the store's own saves."""
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
-        """`connection`: to the store whose map is saved."""
+    def __init__(self, folder: Path) -> None:
+        """`folder`: the store's."""
         self._store = folder
         self._folder = folder / FOLDER
-        self._connection = connection
 
-    def save(self, name: str) -> None:
-        """Save the map that the store holds under a name that is not taken.
+    def check_free(self, name: str) -> None:
+        """Refuse a name under which nothing can be saved.
 
         Raises:
-            BadParameter: it is no name, or it is taken, or the store holds no map.
+            BadParameter: it is no name.
+            NameTaken: there is a snapshot of this name.
+        """
+        self._free(name)
+
+    def save(self, name: str, connection: sqlite3.Connection, run: str | None = None) -> SnapshotInfo:
+        """Save the map that the store holds under a name that is not taken.
+
+        `connection` is the store's; `run` that of who saves, None: of who has stored it.
+
+        Raises:
+            BadParameter: it is no name, or the store holds no map.
+            NameTaken: there is a snapshot of this name.
             DiskFull, StoreFails: it cannot be written; there is no such snapshot then.
         """
-        path = self._path(name)
-        if path.exists():
-            raise BadParameter(f"name {name}: there is a snapshot of this name: delete it, or take another")
+        path = self._free(name)
         with told_as_damage(self._store / FILE, self._store):
-            stored = rows.read_state(self._connection)
+            stored = rows.read_state(connection)
         if stored is None:
             raise BadParameter(f"name {name}: no map is stored yet: try again in a second")
         root = Root()
@@ -61,52 +89,59 @@ class Snapshots:
             self._folder.mkdir(exist_ok=True)
             flush_folder(self._store)
             with created_file(path) as snapshot:
-                for row in self._connection.execute(f"{rows.TILES} ORDER BY tx, ty"):
+                for row in connection.execute(f"{rows.TILES} ORDER BY tx, ty"):
                     snapshot.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?)", row)
                     root.put((row[0], row[1]), row[4])
-                rows.write_state(snapshot, rows.new_state(stored.map, stored.run, stored.settings, root))
+                state = rows.new_state(stored.map, run or stored.run, stored.settings, root)
+                rows.write_state(snapshot, state)
+            return _told(path, state)
 
-    def list(self) -> list[NamedSnapshot]:
+    def list(self) -> list[SnapshotInfo]:
         """Every snapshot, by name."""
-        return [self._listed(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}"))]
+        found = (self._listed(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}")))
+        return [snapshot for snapshot in found if snapshot is not None]
 
-    def read(self, name: str, settings: GridSettings, epoch: str | None = None) -> OccupancyGrid:
-        """The map that was saved under a name, value for value; under a new `epoch` if one is given.
+    @contextmanager
+    def opened(self, name: str) -> Iterator[SavedMap]:
+        """The snapshot of a name, as long as it is needed.
 
         Raises:
-            UnknownName: there is no such snapshot.
+            UnknownSnapshot: there is none.
             BadParameter: it is no name.
-            BadStore, BadSetting: as `read_map`.
+            BadStore: it is damaged.
         """
         path = self._existing(name)
         with told_as_damage(path, self._store):
             connection = open_file(path, writing=False)
         with closing(connection):
-            restored = read_map(connection, settings, path, self._store)
-        if restored is None:
-            raise BadStore(f"{path} is damaged: it holds no map: delete this snapshot")
-        if epoch is not None:
-            restored.grid.epoch = epoch
-        return restored.grid
+            with told_as_damage(path, self._store):
+                state = _state_in(connection)
+            yield SavedMap(connection, state, path, self._store)
 
     def delete(self, name: str) -> None:
         """Delete a snapshot.
 
         Raises:
-            UnknownName: there is no such snapshot.
+            UnknownSnapshot: there is none of this name.
             BadParameter: it is no name.
             StoreFails: it cannot be deleted.
         """
         path = self._existing(name)
         with told_as_failure(path):
-            path.unlink()
+            path.unlink(missing_ok=True)  # somebody else may just have done it
             flush_folder(self._folder)
 
     def _existing(self, name: str) -> Path:
         path = self._path(name)
         if not path.exists():
-            known = ", ".join(found.stem for found in sorted(self._folder.glob(f"*{_SUFFIX}"))[:20])
-            raise UnknownName(f"name {name}: there is no such snapshot; there are: {known or 'none'}")
+            known = ", ".join(found.stem for found in sorted(self._folder.glob(f"*{_SUFFIX}"))[:_MOST_NAMED])
+            raise UnknownSnapshot(f"name {name}: there is no such snapshot; there are: {known or 'none'}")
+        return path
+
+    def _free(self, name: str) -> Path:
+        path = self._path(name)
+        if path.exists():
+            raise NameTaken(f"name {name}: there is a snapshot of this name: delete it, or take another")
         return path
 
     def _path(self, name: str) -> Path:
@@ -114,13 +149,27 @@ class Snapshots:
             raise BadParameter(f"name {cut(name)!r}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
         return self._folder / f"{name}{_SUFFIX}"
 
-    def _listed(self, path: Path) -> NamedSnapshot:
-        size = path.stat().st_size
+    def _listed(self, path: Path) -> SnapshotInfo | None:
+        """What is told of a file, None of one that is there no more."""
         try:
             with told_as_damage(path, self._store), closing(open_file(path, writing=False)) as connection:
-                state = rows.read_state(connection)
-                if state is None:
-                    raise BadStore("it holds no map")  # noqa: TRY301
-        except BadStore as error:
-            return NamedSnapshot(path.stem, "", 0, None, size, str(error))
-        return NamedSnapshot(path.stem, state.map.epoch, state.map.revision, state.map.stamp, size)
+                return _told(path, _state_in(connection))
+        except FileNotFoundError:
+            return None
+        except OgmError as error:
+            return _told(path, None, str(error)) if path.exists() else None
+
+
+def _state_in(connection: sqlite3.Connection) -> StoredState:
+    state = rows.read_state(connection)
+    if state is None:
+        raise BadStore("it holds no map: delete this snapshot")
+    return state
+
+
+def _told(path: Path, state: StoredState | None, damage: str | None = None) -> SnapshotInfo:
+    file = path.stat()
+    if state is None:
+        return SnapshotInfo(path.stem, "", "", 0, None, file.st_mtime_ns, file.st_size, damage)
+    which = state.map.epoch, state.run, state.map.revision, state.map.stamp
+    return SnapshotInfo(path.stem, *which, file.st_mtime_ns, file.st_size)

@@ -1,0 +1,57 @@
+"""Saved maps: what a mapper answers of the snapshots that it has on disk under names."""
+
+from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import CellRect
+from ogm_core.status import SnapshotList, encode_status
+from ogm_services.mapper.serving.large_answers import LargeAnswers
+from ogm_services.mapper.serving.map_formats import MapFormat, bytes_to_make, region_of, shrunk
+from ogm_services.mapper.storage.snapshots import SavedMap, Snapshots
+from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.in_flight import InFlight
+
+COPIES = 2
+"""A map is read, and then copied for who encodes it."""
+
+
+class SavedMaps:
+    """Answers about snapshots, read anew for each: nothing of them stays in memory. Any thread.
+
+    Whoever asks reads by himself, so that neither the worker nor the store's thread waits for him.
+    """
+
+    def __init__(
+        self, snapshots: Snapshots, settings: GridSettings, map_name: str, in_flight: InFlight
+    ) -> None:
+        """`settings` are the live map's; `in_flight` counts what is being made."""
+        self._snapshots = snapshots
+        self._settings = settings
+        self._map_name = map_name
+        self._in_flight = in_flight
+        self.large = LargeAnswers()
+        """Of live maps, too."""
+
+    def list(self) -> Answer:
+        """Every snapshot, by name."""
+        return Answer(encode_status(SnapshotList(self._snapshots.list())), "application/json")
+
+    def map(self, name: str, wanted: MapFormat, given: Parameters) -> Answer:
+        """The map that is saved under a name in a format, with the identity that it had.
+
+        Raises:
+            UnknownSnapshot, BadParameter, BadStore, BadSetting: there is none, or it cannot be read.
+            MapEmpty: a picture of a map without a known cell.
+            Busy: it is large, and there is no memory or no thread left for it.
+        """
+        region, model = region_of(given), self._settings.cell_model
+        with self._snapshots.opened(name) as saved:
+            rect = self._rect_of(saved)
+            shown = rect if region is None else rect.intersection(self._settings.lattice.cover(region))
+            to_make = COPIES * saved.nbytes + bytes_to_make(wanted, model, shown.cells)
+            with self.large.making(rect.cells), self._in_flight.making(to_make):
+                whole = saved.grid(self._settings).snapshot()
+                pixels = shrunk(whole if region is None else whole.crop(region), given)
+                body = wanted.encode(pixels, self._map_name, given)
+        return Answer(body, wanted.media_type, pixels.meta())
+
+    def _rect_of(self, saved: SavedMap) -> CellRect:
+        return self._settings.bounds_rect or saved.state.map.known or CellRect(0, 0, 0, 0)

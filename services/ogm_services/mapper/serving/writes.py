@@ -1,0 +1,141 @@
+"""Writes: what changes a mapper's map, or the maps that it has saved, whichever way it is asked for."""
+
+import logging
+import uuid
+from collections.abc import Mapping
+from typing import Protocol
+
+from ogm_core.errors import BadParameter, BadSetting, DiskFull
+from ogm_core.grid_settings import GridSettings
+from ogm_core.status import encode_status
+from ogm_core.wire.keys import Write
+from ogm_services.mapper.intake.worker import Worker
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.map_formats import check_names
+from ogm_services.mapper.storage.failures import StoreFails
+from ogm_services.mapper.storage.kept_map import KeptMap
+from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, refuse_parameters
+from ogm_services.replies.in_flight import InFlight
+
+log = logging.getLogger(__name__)
+
+
+class DoWrite(Protocol):
+    """One of the writes: what is given, and who asks for it."""
+
+    def __call__(self, given: Parameters, who: str) -> Answer:
+        """Do it, and answer."""
+
+
+class Writes:
+    """Each is done when it returns. Any thread but the worker, for which they wait, or the store's."""
+
+    def __init__(
+        self,
+        answers: Answers,
+        live_map: LiveMap,
+        settings: GridSettings,
+        worker: Worker,
+        kept_map: KeptMap | None,
+        in_flight: InFlight,
+    ) -> None:
+        """`settings` are the map's; without `kept_map` nothing can be saved."""
+        self._answers = answers
+        self._live_map = live_map
+        self._settings = settings
+        self._worker = worker
+        self._kept_map = kept_map
+        self._in_flight = in_flight
+
+    def by_name(self) -> Mapping[Write, DoWrite]:
+        """All of them."""
+        return {"reset": self.reset, "save": self.save, "restore": self.restore, "delete": self.delete}
+
+    def reset(self, given: Parameters, who: str) -> Answer:
+        """Empty the map, after every message that has arrived; the log says who has asked for it.
+
+        Raises:
+            BadParameter: there are parameters.
+            Unavailable: the mapper starts, stops or is far behind.
+        """
+        refuse_parameters(given, "reset")
+        self._answers.check_ready()
+        epoch = uuid.uuid4().hex
+
+        def empty() -> None:
+            self._live_map.reset(epoch)
+            log.info("%s has reset the map: epoch %s", who, epoch)
+
+        self._worker.do(empty)
+        return self._answers.status({})
+
+    def save(self, given: Parameters, who: str) -> Answer:
+        """Save the map of this moment under a name; what the list says of it.
+
+        Raises:
+            OgmError: as `KeptMap.save`.
+        """
+        name, kept = self._asked(given)
+        saved = kept.save(name)
+        log.info("%s has saved the map as %s: revision %d", who, name, saved.revision)
+        return Answer(encode_status(saved), "application/json")
+
+    def restore(self, given: Parameters, who: str) -> Answer:
+        """Go on with the map that is saved under a name, after every message that has arrived; the status.
+
+        It begins a new epoch, at the revision that was saved. What is known of robots stays, and so do the
+        scans that wait for poses. It is on the disk in the end.
+
+        Raises:
+            UnknownSnapshot, BadParameter, BadStore, BadSetting: there is none, or it cannot be read.
+            Busy: there is no memory for it now.
+            Unavailable: the mapper starts, stops or is far behind.
+            DiskFull, StoreFails: the map is that one now, but is not stored yet.
+        """
+        name, kept = self._asked(given)
+        with kept.snapshots.opened(name) as saved, self._in_flight.making(saved.nbytes):
+            grid = saved.grid(self._settings)
+            if grid.lattice != self._settings.lattice:
+                raise BadSetting(
+                    f"name {name}: that map lies on another lattice, anchored at {grid.lattice.anchor}, and "
+                    f"this one at {self._settings.lattice.anchor}: a mapper can look at it (at={name}), and "
+                    "not go on with it"
+                )
+            grid.epoch, grid.run = uuid.uuid4().hex, self._live_map.now.run
+
+            def go_on() -> None:
+                self._live_map.become(grid)
+                log.info(
+                    "%s has restored the map %s: epoch %s, revision %d", who, name, grid.epoch, grid.revision
+                )
+
+            self._worker.do(go_on)
+        try:
+            kept.store_now()
+        except (DiskFull, StoreFails) as error:
+            raise type(error)(
+                f"the map is {name} now, but is not stored yet, which is tried again: {error}"
+            ) from error
+        return self._answers.status({})
+
+    def delete(self, given: Parameters, who: str) -> Answer:
+        """Delete the snapshot of a name; those that are left.
+
+        Raises:
+            OgmError: as `Snapshots.delete`.
+        """
+        name, kept = self._asked(given)
+        kept.snapshots.delete(name)
+        log.info("%s has deleted the saved map %s", who, name)
+        return self._answers.saved.list()
+
+    def _asked(self, given: Parameters) -> tuple[str, KeptMap]:
+        """The name that is given, and where its snapshot is or will be."""
+        check_names(given, {"name"})
+        if "name" not in given:
+            raise BadParameter("name: missing: it says which snapshot")
+        self._answers.check_ready()
+        if self._kept_map is None:
+            raise NotStored(NO_SNAPSHOTS)
+        return given["name"], self._kept_map
