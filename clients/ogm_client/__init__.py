@@ -29,7 +29,7 @@ from ogm_core.errors import (
     MapEmpty,
     OgmError,
 )
-from ogm_core.status import RobotStatus, SourceStatus, Status
+from ogm_core.status import RobotStatus, SnapshotInfo, SourceStatus, Status
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "RecordingWriter",
     "RobotPublisher",
     "RobotStatus",
+    "SnapshotInfo",
     "SourceStatus",
     "Status",
 ]

@@ -26,7 +26,7 @@ from ogm_client.transport import (
 )
 from ogm_core.errors import BadParameter, BadSetting
 from ogm_core.wire.addresses import masked
-from ogm_core.wire.keys import check_name
+from ogm_core.wire.keys import Write, check_name
 
 _PROBLEM = "application/problem+json"
 _EXAMPLE = "a URL looks like http://127.0.0.1:8000"
@@ -94,9 +94,13 @@ class HttpTransport:
         reply = _map_reply(response)
         return None if reply.version == seen else reply
 
-    def reset(self) -> None:
-        """Empty the map."""
-        self._send("POST", "reset", {}, self._authorization)
+    def write(self, name: Write, parameters: Parameters) -> bytes:
+        """Change something; the bytes of what is answered."""
+        if name == "delete":
+            # Dots that stay as they are may be taken for steps through folders, on whatever way.
+            path = f"snapshots/{parameters['name'].replace('.', '%2E')}"
+            return self._send("DELETE", path, {}, self._authorization).content
+        return self._send("POST", name, parameters, self._authorization).content
 
     def close(self) -> None:
         """Close the connections; closing twice does nothing."""

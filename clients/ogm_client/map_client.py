@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 from ogm_client.errors import BadReply, CannotConnect, MapperError, NobodyAnswered
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
-from ogm_client.status_reply import read_status
+from ogm_client.status_reply import read_snapshot, read_snapshots, read_status
 from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
 from ogm_client.zenoh_transport import ZenohTransport
-from ogm_core.errors import BadInput, BadParameter, BadSetting
+from ogm_core.errors import BadInput, BadParameter, BadSetting, cut
 from ogm_core.files.map_files import MAX_NPZ_BYTES, read_npz
-from ogm_core.status import Status
+from ogm_core.status import SnapshotInfo, Status
 from ogm_core.wire.addresses import masked
-from ogm_core.wire.keys import DEFAULT_ADDRESS
+from ogm_core.wire.keys import DEFAULT_ADDRESS, MAX_NAME, NAME
 
 DEFAULT_TIMEOUT = 5.0
 DEFAULT_MAX_BYTES = MAX_NPZ_BYTES
@@ -66,7 +66,8 @@ class MapClient:
         must be the one served, else requests raise NobodyAnswered. An answer has to be there, to its last
         byte, `timeout` seconds after the question, and may have `max_bytes`, the cells of a map unpacked. An
         open Zenoh `session` is used in place of `address`, and stays open. `token` is the mapper's
-        `http.token`, without which it may refuse `reset`; it is for HTTP alone.
+        `http.token`, without which it may refuse what changes something; it is for HTTP
+        alone.
 
         Raises:
             BadSetting: the address, the map's name, the timeout, `max_bytes` or the file is ill-formed, or
@@ -81,21 +82,22 @@ class MapClient:
         limits = Limits(timeout, max_bytes)
         self._transport = _transport(address, zenoh_config, map_name, limits, session, token)
 
-    def get_map(self, region: ArrayLike | None = None) -> MapGrid:
+    def get_map(self, region: ArrayLike | None = None, *, at: str | None = None) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
 
-        A map without a known cell has shape (0, 0).
+        `at`: the map as it was saved under that name. A map without a known cell has shape (0, 0).
 
         Raises:
-            MapperError: the region is inverted, not finite, or wholly outside the map.
+            MapperError: the region is inverted, not finite, or wholly outside the map; or no map is saved
+                under the name ("unknown-snapshot").
         """
-        return self._grid(self._transport.fetch_map(_texts({"region": region})))
+        return self._grid(self._transport.fetch_map(_texts({"region": region, "at": at})))
 
     def fetch(self, name: str, /, **parameters: Value) -> bytes:
-        """The bytes of map.png, map.json, map.pgm, map.yaml, map.npz, cell, quality or status.
+        """The bytes of map.png, map.json, map.pgm, map.yaml, map.npz, cell, quality, status or snapshots.
 
-        The parameters are those of the HTTP route, such as `palette="probability"`, `max_size=500` or
-        `region=(-1, -1, 1, 1)`.
+        The parameters are those of the HTTP route, such as `palette="probability"`, `max_size=500`,
+        `region=(-1, -1, 1, 1)` or `at="monday"`.
 
         Raises:
             BadParameter: nothing has that name, or a parameter cannot be sent.
@@ -143,7 +145,43 @@ class MapClient:
 
     def reset(self) -> None:
         """Empty the map: a new epoch begins."""
-        self._transport.reset()
+        self._transport.write("reset", {})
+
+    def snapshots(self) -> list[SnapshotInfo]:
+        """The maps that the mapper has saved, by name.
+
+        This, and whatever else is about them, raises MapperError ("not-stored") of a mapper that stores none.
+        """
+        return read_snapshots(self.fetch("snapshots"))
+
+    def save_snapshot(self, name: str) -> SnapshotInfo:
+        """Have the mapper save its map of this moment under a name that is not taken.
+
+        Raises:
+            BadParameter: it is no name: 1 to 64 of A-Z a-z 0-9 _ - .
+            MapperError: the name is taken ("name-taken"), or the mapper's disk is full ("disk-full").
+        """
+        return read_snapshot(self._transport.write("save", _named(name)))
+
+    def restore_snapshot(self, name: str) -> None:
+        """Have the mapper go on with the map that is saved under a name: a new epoch begins.
+
+        It takes as long as writing that map to the disk: give a large one a `timeout` of its own.
+
+        Raises:
+            BadParameter: it is no name.
+            MapperError: there is none of this name ("unknown-snapshot"), or it cannot be restored.
+        """
+        self._transport.write("restore", _named(name))
+
+    def delete_snapshot(self, name: str) -> None:
+        """Have the mapper delete the map that is saved under a name.
+
+        Raises:
+            BadParameter: it is no name.
+            MapperError: there is none of this name ("unknown-snapshot").
+        """
+        self._transport.write("delete", _named(name))
 
     def close(self) -> None:
         """Close the connection; a session that was given stays open. Closing twice does nothing."""
@@ -219,6 +257,12 @@ def _transport(
         )
     network = NetworkConfig.of_client(address, zenoh_config)
     return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, limits, session)
+
+
+def _named(name: str) -> dict[str, str]:
+    if not (isinstance(name, str) and NAME.fullmatch(name)):
+        raise BadParameter(f"name {cut(repr(name))}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
+    return {"name": name}
 
 
 def _texts(parameters: dict[str, Value]) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
 from ogm_client.transport import json_object, printable
-from ogm_core.status import Status
+from ogm_core.status import SnapshotInfo, SnapshotList, Status
 from ogm_core.types import Pose
 
 _WORDS = {
@@ -31,6 +31,26 @@ def read_status(payload: bytes) -> Status:
     """
     status: Status = _value(Status, json_object("status", payload), ("status",))
     return status
+
+
+def read_snapshot(payload: bytes) -> SnapshotInfo:
+    """What is told of one saved map.
+
+    Raises:
+        BadReply: it is something else.
+    """
+    snapshot: SnapshotInfo = _value(SnapshotInfo, json_object("save", payload), ("save",))
+    return snapshot
+
+
+def read_snapshots(payload: bytes) -> list[SnapshotInfo]:
+    """The saved maps of what `GET /snapshots` answers.
+
+    Raises:
+        BadReply: it is something else.
+    """
+    listed: SnapshotList = _value(SnapshotList, json_object("snapshots", payload), ("snapshots",))
+    return listed.snapshots
 
 
 def _value(kind: Any, given: Any, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - JSON, and what is made of it

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 from ogm_client.errors import BadReply, MapperError
 from ogm_core import errors
 from ogm_core.units import MEBIBYTE
+from ogm_core.wire.keys import Write
 
-NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quality", "status")
+NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quality", "status", "snapshots")
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
 
 Parameters = Mapping[str, str]
@@ -64,8 +65,8 @@ class Transport(Protocol):
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""
 
-    def reset(self) -> None:
-        """Empty the map."""
+    def write(self, name: Write, parameters: Parameters) -> bytes:
+        """Change something; the bytes of what is answered."""
 
     def close(self) -> None:
         """Withdraw from the network; closing twice does nothing."""

@@ -21,14 +21,19 @@ from ogm_client.transport import (
     too_long,
 )
 from ogm_client.zenoh_errors import reason
-from ogm_core.wire.keys import MapKeys, Service
+from ogm_core.wire.keys import MapKeys, Service, Write
 
 _TIMED_OUT = b"Timeout"
 """Zenoh's own error reply, when a queryable took the query and did not finish in time."""
 _MAX_ATTACHMENT_BYTES = 4096
 _AT_ONCE = 0.001
 """Of a question without any time left, s: Zenoh takes 0 for its own default."""
-_SERVICE_OF: Mapping[str, Service] = {"cell": "cell", "quality": "quality", "status": "status"}
+_SERVICE_OF: Mapping[str, Service] = {
+    "cell": "cell",
+    "quality": "quality",
+    "status": "status",
+    "snapshots": "snapshots",
+}
 
 
 class ZenohTransport:
@@ -66,9 +71,10 @@ class ZenohTransport:
         reply = self._fetch_map({}, deadline)
         return None if reply.version == seen else reply
 
-    def reset(self) -> None:
-        """Empty the map."""
-        self._get("reset", {}, self._deadline())
+    def write(self, name: Write, parameters: Parameters) -> bytes:
+        """Change something; the bytes of what is answered."""
+        sample = self._get(name, parameters, self._deadline())
+        return _content(name, sample.payload, self._limits.bytes_of(name))
 
     def close(self) -> None:
         """Close the session, if it is ours; closing twice does nothing."""

@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
-from ogm_core.wire.keys import DEFAULT_ADDRESS
+from ogm_services.commands import snapshot
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
@@ -35,6 +35,7 @@ from ogm_services.settings.flags import (
     NetworkFlags,
     PrintConfig,
     SensorFlags,
+    Url,
     settings_from,
     with_flag_groups,
 )
@@ -48,6 +49,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Live occupancy grid maps from robots' poses and 2D LiDAR scans, over Zenoh and HTTP.",
 )
+app.add_typer(snapshot.app, name="snapshot")
 
 
 def main() -> None:
@@ -87,14 +89,6 @@ MapperOut = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR", help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here."
-    ),
-]
-Url = Annotated[
-    str | None,
-    typer.Option(
-        metavar="URL",
-        help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT "
-        f"(default: where the settings connect to, else {DEFAULT_ADDRESS}).",
     ),
 ]
 Log = Annotated[
@@ -353,6 +347,10 @@ def get(
             "--out", "-o", metavar="FILE", help="File to write; - for stdout (default: NAME, here)."
         ),
     ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="SNAPSHOT", help="The map as it was saved under this name (ogm snapshot)."),
+    ] = None,
     url: Url = None,
     config: ConfigFile = None,
 ) -> None:
@@ -360,9 +358,9 @@ def get(
     from ogm_services.commands.get import check_asked, fetch
     from ogm_services.commands.mapper_client import mapper_client
 
-    check_asked(name)
+    check_asked(name, at)
     with mapper_client(url, settings_from(config, network).network) as client:
-        written = fetch(client, name, out, sys.stdout.buffer)
+        written = fetch(client, name, out, sys.stdout.buffer, at)
     if out is None:
         typer.echo(" ".join(map(str, written)))
 

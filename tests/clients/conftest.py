@@ -4,7 +4,8 @@ import json
 import threading
 from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from urllib.parse import parse_qsl, urlsplit
+from typing import get_args
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 import msgpack
 import numpy as np
@@ -16,9 +17,11 @@ from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import encode_status
+from ogm_core.wire.keys import Service, Write
 from status_json import STATUS
 
 MAP_NAME = "hall"
+WRITES = get_args(Write)
 PROBLEM = "application/problem+json"
 
 
@@ -85,9 +88,13 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self):
         url = urlsplit(self.path)
         mapper, name = self.server.mapper, url.path.removeprefix("/")
-        if name == "reset" and self.command != "POST":
+        given = dict(parse_qsl(url.query))
+        if self.command == "DELETE":
+            folder, _, given["name"] = name.partition("/")
+            name, given["name"] = {"snapshots": "delete"}[folder], unquote(given["name"])
+        elif (name in WRITES) != (self.command == "POST"):
             return self.send_error(405)
-        body = mapper.take(name, dict(parse_qsl(url.query)))
+        body = mapper.take(name, given)
         snap = mapper.snapshot
         etag = f'"{snap.epoch}-{snap.run}-{snap.revision}"'
         headers = {
@@ -117,7 +124,7 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
         return None
 
-    do_POST = do_GET
+    do_POST = do_DELETE = do_GET
 
     def log_message(self, *args):
         """Stay silent."""
@@ -144,7 +151,7 @@ def snapshot():
 def zenoh_mapper(listener, endpoint, snapshot):
     """A fake mapper of the map MAP_NAME, reached over Zenoh."""
     mapper = FakeMapper(endpoint, "zenoh", snapshot)
-    for service in ("map", "cell", "quality", "status", "reset"):
+    for service in get_args(Service):
         listener.declare_queryable(f"ogm/v1/{MAP_NAME}/{service}", lambda query: on_query(mapper, query))
     return mapper
 

@@ -11,7 +11,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm_client import BadReply, CannotConnect, ClientError, MapClient, MapperError, NobodyAnswered
+from ogm_client import (
+    BadReply,
+    CannotConnect,
+    ClientError,
+    MapClient,
+    MapperError,
+    NobodyAnswered,
+    SnapshotInfo,
+)
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadParameter, BadSetting
@@ -145,6 +153,65 @@ def test_a_cell_is_asked_for_by_its_point(mapper, client):
 def test_reset_is_one_plain_request(mapper, client):
     client.reset()
     assert mapper.asked == [("reset", {})]
+
+
+SNAPSHOT = {
+    "name": "a.b",
+    "epoch": "e",
+    "run": "r",
+    "revision": 7,
+    "stamp": None,
+    "saved": 10**18,
+    "bytes": 4096,
+}
+
+
+def test_maps_are_saved_listed_restored_and_deleted_by_plain_requests(mapper, client):
+    mapper.bodies["save"] = json.dumps({**SNAPSHOT, "damage": None}).encode()
+    mapper.bodies["snapshots"] = json.dumps({"snapshots": [SNAPSHOT, {**SNAPSHOT, "damage": "cut"}]}).encode()
+    assert client.save_snapshot("a.b") == SnapshotInfo(**SNAPSHOT)
+    assert client.snapshots() == [SnapshotInfo(**SNAPSHOT), SnapshotInfo(**SNAPSHOT, damage="cut")]
+    client.restore_snapshot("..")
+    client.delete_snapshot("..")
+    named = {"name": ".."}
+    asked = [("save", {"name": "a.b"}), ("snapshots", {}), ("restore", named), ("delete", named)]
+    assert mapper.asked == asked
+
+
+def test_a_map_as_it_was_saved(mapper, client):
+    grid = client.get_map(at="monday")
+    assert (grid.epoch, grid.run, grid.revision) == ("first", "one", 7)
+    client.get_map((0, 0, 1, 1), at="monday")
+    client.fetch("map.png", at="monday")
+    assert mapper.asked == [
+        ("map.npz", {"at": "monday"}),
+        ("map.npz", {"region": "0,0,1,1", "at": "monday"}),
+        ("map.png", {"at": "monday"}),
+    ]
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "../x", "a;b", "x" * 65, "a\n", None, 7])
+def test_what_is_no_name_of_a_saved_map_is_not_asked(mapper, client, name):
+    for ask in (client.save_snapshot, client.restore_snapshot, client.delete_snapshot):
+        with pytest.raises(BadParameter, match="a name is 1 to 64 of A-Z"):
+            ask(name)
+    assert mapper.asked == []
+
+
+@pytest.mark.parametrize(
+    ("snapshots", "said"),
+    [
+        ([], "snapshots: snapshots: missing"),
+        ({"snapshots": {}}, "snapshots: snapshots: "),
+        ({"snapshots": [{**SNAPSHOT, "revision": "7"}]}, "revision: a whole number is needed"),
+        ({"snapshots": [{**SNAPSHOT, "name": "\033[2J"}]}, "characters that cannot be shown"),
+        ({"snapshots": [{**SNAPSHOT, "bytes": 2**64}]}, "bytes: a number below"),
+    ],
+)
+def test_a_list_of_saved_maps_that_is_none_is_a_bad_reply(mapper, client, snapshots, said):
+    mapper.bodies["snapshots"] = json.dumps(snapshots or {}).encode()
+    with pytest.raises(BadReply, match=said):
+        client.snapshots()
 
 
 def test_a_refusal_is_raised_with_its_parts(mapper, client):

@@ -110,7 +110,9 @@ def test_tables_of_commands_and_drop_reasons():
 @pytest.mark.parametrize("page", [README, *DOCS])
 def test_flags_exist(page):
     program = typer.main.get_command(app)
-    options = [option for command in (program, *program.commands.values()) for option in command.params]
+    groups = [group for group in program.commands.values() if hasattr(group, "commands")]
+    commands = [command for group in (program, *groups) for command in group.commands.values()]
+    options = [option for command in (program, *commands) for option in command.params]
     flags = {flag for option in options for flag in option.opts} | {"--help"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXTS[page].replace("<!--", ""))) - flags == set()
 

@@ -34,8 +34,13 @@ FLAGS = {
     f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
-    "get": "--out -o --url --map --zenoh-config --config",
+    "get": "--out -o --at --url --map --zenoh-config --config",
     "status": "--json --watch --url --map --zenoh-config --config",
+    "snapshot list": "--json --url --map --zenoh-config --config",
+    **{
+        f"snapshot {write}": "--json --token-file --url --map --zenoh-config --config"
+        for write in ("save", "restore", "delete")
+    },
 }
 
 
@@ -79,7 +84,7 @@ def stub(monkeypatch):
 
 @pytest.mark.parametrize("command", FLAGS)
 def test_help_lists_every_flag_and_nothing_else(ogm, command):
-    result = ogm(command, "-h")
+    result = ogm(*command.split(), "-h")
     assert result.exit_code == 0
     shown = re.findall(r"^│[ *]*(--[a-z-]+)(?: +(-[a-z]) )?", result.stdout, re.MULTILINE)
     assert {flag for flags in shown for flag in flags if flag} == {*FLAGS[command].split(), "--help", "-h"}
@@ -157,6 +162,14 @@ def one_line(result, code):
         ("get", "NAME"),
         ("get map.gif -o x --url http://127.0.0.1:9", "map.gif"),
         ("status --url nowhere", "nowhere"),
+        ("get status --at monday", "--at monday: only maps are saved"),
+        ("get map.png?at=a --at b --url http://127.0.0.1:9", "--at says b, and NAME at=a"),
+        ("snapshot lst", "lst"),
+        ("snapshot save", "NAME"),
+        ("snapshot save a/b --url http://127.0.0.1:9", "name 'a/b': a name is 1 to 64"),
+        ("snapshot save a --url http://127.0.0.1:9 --token-file /nowhere", "/nowhere: cannot be read"),
+        ("snapshot save a --token-file /nowhere", "--token-file /nowhere: the token is for HTTP alone"),
+        ("snapshot list --url nowhere", "nowhere"),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):

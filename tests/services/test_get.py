@@ -95,8 +95,8 @@ class FakeClient:
         self.asked.append((name, parameters))
         return json.dumps(STATUS).encode() if name == "status" else b"\x89PNG"
 
-    def get_map(self, region=None):
-        self.asked.append(("map", region))
+    def get_map(self, region=None, *, at=None):
+        self.asked.append(("map", region) if at is None else ("map", region, at))
         return FakeGrid(region)
 
     def status(self):
@@ -129,6 +129,15 @@ def test_get_writes_a_file(ogm, mapper, tmp_path):
         ("tcp/127.0.0.1:7447", None),
         ("map.png", {"palette": "probability", "max_size": "500"}),
     ]
+
+
+def test_get_a_map_as_it_was_saved(ogm, mapper, tmp_path):
+    assert ogm("get", "map.png?max_size=9", "--at", "monday", "-o", tmp_path / "a.png").exit_code == 0
+    assert ogm("get", "map.yaml", "--at", "monday", "-o", tmp_path / "a.yaml").exit_code == 0
+    assert FakeClient.asked[1:] == [("map", None, "monday")]
+    assert ogm("get", "map.pgm?at=monday", "--at", "monday", "-o", tmp_path / "a.pgm").exit_code == 1
+    assert ogm("get", "map.png?at=monday&region=0,0,1,1", "-o", tmp_path / "b.png").exit_code == 0
+    assert FakeClient.asked[1:] == [("map.png", {"at": "monday", "region": "0,0,1,1"})]
 
 
 def test_get_to_stdout(ogm, mapper):

@@ -1,29 +1,29 @@
 """`ogm get`: what a running mapper serves, as files."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import parse_qsl
 
-from ogm_client import MapClient, MapperError
+from ogm_client import MapClient
 from ogm_client.transport import NAMES
 from ogm_core.errors import BadInput, BadParameter, cut
 from ogm_core.files.file_names import check_suffix, check_text, ros_map_names
 from ogm_core.lattice import Region
 from ogm_core.whole_files import write_files
 from ogm_core.wire.addresses import masked
+from ogm_services.commands.mapper_client import asking
 from ogm_services.results.written import written
 from ogm_services.settings.values import parse_region
 
 STDOUT = Path("-")
 
 
-def check_asked(name: str) -> None:
+def check_asked(name: str, at: str | None = None) -> None:
     """Refuse what no mapper serves, whether or not one is there.
 
     Raises:
-        BadInput: `name`, which may carry parameters, is none of NAMES.
+        BadInput: `name`, which may carry parameters, is none of NAMES, or nothing that is saved as `at`.
     """
     check_text(name, "NAME")
     if "://" in name:
@@ -31,13 +31,18 @@ def check_asked(name: str) -> None:
     bare = name.lstrip("/").partition("?")[0]
     if bare not in NAMES:
         raise BadInput(f"{cut(bare)!r} cannot be fetched, only {', '.join(NAMES)}")
+    if at is not None and not bare.startswith("map."):
+        raise BadInput(f"--at {cut(at)}: only maps are saved, and {bare} is none")
 
 
-def fetch(client: MapClient, name: str, out: Path | None, stdout: BinaryIO) -> tuple[Path, ...]:
+def fetch(
+    client: MapClient, name: str, out: Path | None, stdout: BinaryIO, at: str | None = None
+) -> tuple[Path, ...]:
     """Write what the mapper serves as `name` into `out`, or to `stdout` if that is "-"; the files written.
 
     `name` may carry parameters: map.png?palette=probability&max_size=500. map.yaml comes with its PGM,
-    beside it and of the same map. Without `out` the file is called what it is, in the working folder.
+    beside it and of the same map. `at`: the map that is saved under this name. Without `out` the file is
+    called what it is, in the working folder.
 
     Raises:
         BadInput: a parameter is wrong, or `out` cannot be written, or its name is that of another format.
@@ -47,14 +52,16 @@ def fetch(client: MapClient, name: str, out: Path | None, stdout: BinaryIO) -> t
     check_text(name, "NAME")
     name, _, query = name.lstrip("/").partition("?")
     parameters = _parameters(query)
+    if at is not None and parameters.setdefault("at", at) != at:
+        raise BadParameter(f"--at says {cut(at)}, and NAME at={cut(parameters['at'])}: give one of the two")
     own = name if "." in name else f"{name}.json"
     if out is None:
         out = Path(own)
     elif out != STDOUT and name != "map.yaml":
         check_suffix(out, Path(own).suffix)
     if name == "map.yaml":
-        return _fetch_ros_map(client, _region(parameters), out)
-    with _asking():
+        return _fetch_ros_map(client, _region(parameters), parameters.get("at"), out)
+    with asking():
         content = client.fetch(name, **parameters)
     with written(out, "-o"):
         if out == STDOUT:
@@ -65,26 +72,15 @@ def fetch(client: MapClient, name: str, out: Path | None, stdout: BinaryIO) -> t
     return (out,)
 
 
-def _fetch_ros_map(client: MapClient, region: Region | None, out: Path) -> tuple[Path, ...]:
+def _fetch_ros_map(client: MapClient, region: Region | None, at: str | None, out: Path) -> tuple[Path, ...]:
     if out == STDOUT:
         raise BadInput("map.yaml comes with its map.pgm, two files: give -o FILE.yaml")
     names = ros_map_names(out)
-    with _asking():
-        grid = client.get_map(region)
+    with asking():
+        grid = client.get_map(region, at=at)
     with written(out, "-o"):
         grid.save_ros_map(out)
     return names
-
-
-@contextmanager
-def _asking() -> Iterator[None]:
-    """What a mapper finds wrong with a request is what the user gave."""
-    try:
-        yield
-    except MapperError as error:
-        if error.status == 400:
-            raise BadParameter(error.detail) from None
-        raise
 
 
 def _parameters(query: str) -> dict[str, str]:
@@ -100,9 +96,9 @@ def _parameters(query: str) -> dict[str, str]:
 
 
 def _region(parameters: Mapping[str, str]) -> Region | None:
-    unknown = sorted(parameters.keys() - {"region"})
+    unknown = sorted(parameters.keys() - {"region", "at"})
     if unknown:
-        raise BadParameter(f"map.yaml takes the parameter region only, not {', '.join(unknown)}")
+        raise BadParameter(f"map.yaml takes the parameters region and at only, not {', '.join(unknown)}")
     if "region" not in parameters:
         return None
     try:

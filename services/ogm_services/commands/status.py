@@ -54,7 +54,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "epoch": status.epoch,
         "run": status.run,
         "revision": status.revision,
-        "stamp": _time(status.stamp),
+        "stamp": local_time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
         "a second": rates.in_words() if rates else "",
         "dropped": _nonzero(scans.dropped),
@@ -80,7 +80,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Table:
     """A row for every robot: whether it is alive, when it was heard, and where it was last said to be."""
-    table = _table("robot", "alive", right=("last message", "x", "y", "theta"))
+    table = plain_table("robot", "alive", right=("last message", "x", "y", "theta"))
     for name, robot in robots.items():
         age = "" if robot.age_s is None else f"{robot.age_s:.1f} s ago"
         pose = [f"{value:.2f}" for value in robot.pose or ()]
@@ -91,7 +91,7 @@ def _robots(robots: Mapping[str, RobotStatus]) -> Table:
 def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
     """A row for every sensor: what became of its scans, and how many a second it sends, if that is known."""
     received = ("received",) if rates is None else ("received", "a second")
-    table = _table("source", right=(*received, "integrated", "pending", "dropped", "last seq"))
+    table = plain_table("source", right=(*received, "integrated", "pending", "dropped", "last seq"))
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
             dropped = source.received - source.integrated - source.pending
@@ -107,7 +107,7 @@ def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
 
 def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
     """A row for every reason that scans of a sensor were dropped for, for those lost, and for every hint."""
-    table = _table("source", "not in the map", "what helps")
+    table = plain_table("source", "not in the map", "what helps")
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
             for reason, count in source.dropped.items():
@@ -119,7 +119,8 @@ def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
     return table
 
 
-def _table(*left: str, right: tuple[str, ...] = ()) -> Table:
+def plain_table(*left: str, right: tuple[str, ...] = ()) -> Table:
+    """A table with columns of text on the left, and of numbers on the right."""
     table = Table(box=box.SIMPLE, pad_edge=False)
     for column in left:
         table.add_column(column)
@@ -148,7 +149,8 @@ def _nonzero(dropped: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in dropped.items() if count) or "none"
 
 
-def _time(stamp: int | None) -> str:
+def local_time(stamp: int | None) -> str:
+    """A time in ns since the Unix epoch as this machine's clocks show it, "none" if there is none."""
     if stamp is None:
         return "none"
     return (

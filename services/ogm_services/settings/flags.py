@@ -251,6 +251,14 @@ class LogFlags:
     ] = False
 
 
+Url = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT "
+        f"(default: where the settings connect to, else {DEFAULT_ADDRESS}).",
+    ),
+]
 ConfigFile = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE.yaml", help="Settings file; environment and flags override it."),

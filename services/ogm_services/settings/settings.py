@@ -143,6 +143,21 @@ class NetworkSettings(_Section):
         return NetworkConfig(listen=listen, connect=connect, config_file=self.zenoh_config)
 
 
+def token_in(path: Path, given_as: str) -> bytes:
+    """The token in a file.
+
+    Raises:
+        BadSetting: it cannot be read, or holds none; the text names the setting or flag that it was given as.
+    """
+    try:
+        token = path.read_bytes().strip()
+    except OSError as error:
+        raise BadSetting(f"{given_as}: {path}: cannot be read: {error.strerror}") from None
+    if not TOKEN.fullmatch(token.decode("latin-1")):
+        raise BadSetting(f"{given_as}: {path}: {TOKEN_FORM} is needed, on one line")
+    return token
+
+
 class HttpSettings(_Section):
     """Where the mapper serves HTTP, under which names, and the token that guards writes.
 
@@ -175,15 +190,7 @@ class HttpSettings(_Section):
         """
         if self.token_file is None:
             return None if self.token is None else self.token.get_secret_value().encode()
-        try:
-            token = self.token_file.read_bytes().strip()
-        except OSError as error:
-            raise BadSetting(
-                f"http.token_file: {self.token_file}: cannot be read: {error.strerror}"
-            ) from None
-        if not TOKEN.fullmatch(token.decode("latin-1")):
-            raise BadSetting(f"http.token_file: {self.token_file}: {TOKEN_FORM} is needed, on one line")
-        return token
+        return token_in(self.token_file, "http.token_file")
 
 
 class MapperSettings(_Section):
