@@ -16,7 +16,7 @@ import pytest
 import zenoh
 import zenoh.ext
 
-from ogm_client import CannotConnect, MapClient, NobodyAnswered, NotHeard, RobotPublisher
+from ogm_client import CannotConnect, MapClient, MapperError, NobodyAnswered, NotHeard, RobotPublisher
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
 
 ROOT = Path(__file__).parents[2]
@@ -348,6 +348,16 @@ def test_only_the_operator_resets(site, mapper):
         with pytest.raises(NobodyAnswered, match="does access control not let this certificate ask") as error:
             reset(name)
         assert "within" not in str(error.value), "Zenoh says at once that nobody is asked"
+        with MapClient(zenoh_config=site.client(name), timeout=30.0) as client:
+            for write in (client.save_snapshot, client.restore_snapshot, client.delete_snapshot):
+                with pytest.raises(NobodyAnswered, match="does access control not let"):
+                    write("a")
+            with pytest.raises(MapperError, match="stores no map"):
+                client.snapshots()
+    with MapClient(zenoh_config=site.client("operator"), timeout=30.0) as client:
+        for write in (client.save_snapshot, client.restore_snapshot, client.delete_snapshot):
+            with pytest.raises(MapperError, match="stores no map"):
+                write("a")
     assert (mapper.status()["epoch"], mapper.get("map.npz")) == before
     reset("operator")
     assert mapper.status()["epoch"] != before[0]
