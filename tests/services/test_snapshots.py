@@ -192,6 +192,19 @@ def test_a_save_that_was_cut_off_leaves_nothing_that_is_listed(story):
     assert [path.name for path in folder.iterdir()] == ["two.sqlite"]
 
 
+def test_what_was_not_finished_is_gone_at_the_next_start(tmp_path):
+    with MapStore(tmp_path) as store:
+        story = Story(store, grid_of())
+        story.integrate(1)
+        story.commit()
+        for name in ("one", "two.sqlite.part"):
+            store.save(name)
+    folder = tmp_path / "snapshots"
+    (folder / "one.sqlite").rename(folder / ".one.sqlite.part")
+    with MapStore(tmp_path):
+        assert [path.name for path in folder.iterdir()] == ["two.sqlite.part.sqlite"]
+
+
 def test_a_snapshot_takes_no_room_for_what_is_no_map(story):
     """The placing state is not in it, however much it is."""
     story.placing["robot0"] = story._changed["robot0"] = np.random.default_rng(1).bytes(300_000)

@@ -43,7 +43,7 @@ def created_file(path: Path) -> Iterator[sqlite3.Connection]:
     Raises:
         sqlite3.Error, OSError: it cannot be written; nothing is left of it.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(unfinished(path.name))
     try:
         part.unlink(missing_ok=True)
         with closing(sqlite3.connect(part, isolation_level=None)) as connection:
@@ -59,6 +59,11 @@ def created_file(path: Path) -> Iterator[sqlite3.Connection]:
         flush_folder(path.parent)
     finally:
         part.unlink(missing_ok=True)
+
+
+def unfinished(name: str) -> str:
+    """Name of a file until it is whole and takes its own."""
+    return f".{name}.part"
 
 
 def open_file(path: Path, *, writing: bool = True) -> sqlite3.Connection:

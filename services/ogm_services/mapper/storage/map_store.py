@@ -52,6 +52,7 @@ class MapStore:
         try:
             self._connection = self._opened()
             self.snapshots = Snapshots(folder)
+            self.snapshots.clear_unfinished()
         except BaseException:
             self._lock.release()
             raise

@@ -14,7 +14,7 @@ from ogm_core.wire.keys import MAX_NAME, NAME
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
-from ogm_services.mapper.storage.layout import FILE, created_file, flush_folder, open_file
+from ogm_services.mapper.storage.layout import FILE, created_file, flush_folder, open_file, unfinished
 from ogm_services.mapper.storage.map_settings import planes_in
 from ogm_services.mapper.storage.reading import read_map
 from ogm_services.mapper.storage.rows import StoredState
@@ -95,6 +95,16 @@ class Snapshots:
                 state = rows.new_state(stored.map, run or stored.run, stored.settings, root)
                 rows.write_state(snapshot, state)
             return _told(path, state)
+
+    def clear_unfinished(self) -> None:
+        """Delete what was not finished when the process that saved it was ended. Before anything is saved.
+
+        Raises:
+            StoreFails: it cannot be deleted.
+        """
+        with told_as_failure(self._folder):
+            for path in self._folder.glob(unfinished(f"*{_SUFFIX}")):
+                path.unlink()
 
     def list(self) -> list[SnapshotInfo]:
         """Every snapshot, by name."""
