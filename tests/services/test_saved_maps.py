@@ -370,6 +370,19 @@ def test_a_restore_comes_after_every_message_before_it(keeping, in_background, e
     assert (status["revision"], status["stamp"]) == (4, 1_700_000_000_000_000_008)
 
 
+def test_what_is_saved_has_every_message_that_came_before(keeping, in_background, eventually, monkeypatch):
+    asks, parts, asked = OverHttp(keeping), keeping.service.parts, threading.Event()
+    with held_up(parts.worker.do, in_background):
+        for k in range(5):
+            keeping.scan([1.0], pose=[0.25, 0.25, 0.0], at=7 + k)
+        eventually(lambda: keeping.status()["scans"]["received"] == 8)
+        put = parts.queue.put
+        monkeypatch.setattr(parts.queue, "put", lambda item: (put(item), asked.set())[0])
+        saving = in_background(asks.ask, "save", name="a")
+        assert asked.wait(30.0)
+    assert saving.result(30.0)["revision"] == 8
+
+
 def test_writes_say_in_the_log_who_asked(keeping, caplog):
     caplog.set_level("INFO")
     for asks, way in (

@@ -71,12 +71,15 @@ class Writes:
         return self._answers.status({})
 
     def save(self, given: Parameters, who: str) -> Answer:
-        """Save the map of this moment under a name; what the list says of it.
+        """Save the map under a name, after every message that has arrived; what the list says of it.
 
         Raises:
+            Unavailable: the mapper starts, stops or is far behind.
             OgmError: as `KeptMap.save`.
         """
         name, kept = self._asked(given)
+        kept.snapshots.check_free(name)
+        self._worker.do(lambda: None)
         saved = kept.save(name)
         log.info("%s has saved the map as %s: revision %d", who, name, saved.revision)
         return Answer(encode_status(saved), "application/json")

@@ -120,12 +120,7 @@ class MapSaver:
         Raises:
             OgmError: it cannot be stored now, or as `Snapshots.save`.
         """
-
-        def job(store: MapStore) -> SnapshotInfo:
-            store.snapshots.check_free(name)
-            return store.save(name, self._stored_now(store))
-
-        return self.do(job)
+        return self.do(lambda store: store.save(name, self._stored_now(store)))
 
     def _stored_now(self, store: MapStore) -> str | None:
         """Store the map of this moment; the run of who writes it, if it is kept."""
