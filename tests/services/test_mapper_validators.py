@@ -6,7 +6,7 @@ import zlib
 import pytest
 import yaml
 
-from ogm_services.mapper.serving import answers
+from ogm_services.mapper.serving import map_formats
 
 FORMATS = ("png", "json", "pgm", "yaml", "npz")
 
@@ -99,8 +99,8 @@ def test_yaml_and_pgm_fetched_by_hand_are_one_map_or_refused(mapper):
 
 def test_what_a_viewer_adds_against_caches_is_not_heard(cross, monkeypatch):
     encoded = []
-    npz = answers.encode_npz
-    monkeypatch.setattr(answers, "encode_npz", lambda *given: (encoded.append(1), npz(*given))[1])
+    npz = map_formats.encode_npz
+    monkeypatch.setattr(map_formats, "encode_npz", lambda *given: (encoded.append(1), npz(*given))[1])
     for k in range(5):
         cross.http.get(f"/map.npz?region=-1,-1,1.{k // 4},1&t={k}").raise_for_status()
     assert len(encoded) == 2, "once a map, not once a request"
