@@ -1,6 +1,8 @@
 """A map that is saved under a name outlives what comes after it: mapping, a restore, a kill, a new start."""
 
 import signal
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -13,12 +15,13 @@ from ogm_services.settings.settings import Settings
 
 SWEEP = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.0, "range_max": 9.0}
 STAMP = 10**18
+RATE = 40.0
 
 
 def scan_of(k):
     """Ranges, pose and stamp of scan k."""
     ranges = np.random.default_rng(k).uniform(0.5, 8.5, 63).astype(np.float32)
-    return ranges, (0.11 * k, 0.05 * k, 0.3 * k), STAMP + k * 10**8
+    return ranges, (0.11 * k, 0.05 * k, 0.3 * k), STAMP + int(k * 1e9 / RATE)
 
 
 def drive(mapper, eventually, first, last, run):
@@ -123,3 +126,60 @@ def test_a_watch_sees_a_restore_and_a_new_start_of_a_mapper_that_stores_its_map(
     assert again.run != restored.run
     for grid in (restored, again):
         np.testing.assert_array_equal(grid.log_odds, seen.log_odds)
+
+
+class Drive(threading.Thread):
+    """A robot at 40 Hz, poses and scans on keys of their own, that keeps all it has published."""
+
+    def __init__(self, endpoint, scans):
+        super().__init__()
+        self._robot = RobotPublisher("r1", address=endpoint, run="drive", cache_samples=5000)
+        self._scans = scans
+        self.sent = 0
+        self.finish = threading.Event()
+
+    def run(self):
+        began = time.monotonic()
+        for k in range(self._scans):
+            ranges, pose, stamp = scan_of(k)
+            self._robot.publish_pose(*pose, stamp=stamp)
+            self._robot.publish_scan(ranges, **SWEEP, stamp=stamp)
+            self.sent += 1
+            time.sleep(max(0.0, began + (k + 1) / RATE - time.monotonic()))
+        self.finish.wait(120.0)
+        self._robot.close()
+
+
+def test_a_restore_and_a_kill_amid_a_drive_lose_and_double_nothing(ogm, endpoint, eventually, tmp_path):
+    """The map is the one that was saved, and all scans after the restore: those while it was away, too."""
+    scans, flags = 240, ["--listen", endpoint, "--data", tmp_path / "data"]
+    mapper = ogm.ready(ogm.mapper(*flags))
+    drive = Drive(endpoint, scans)
+    drive.start()
+    try:
+        with MapClient(mapper.url, timeout=60.0) as client:
+            eventually(lambda: mapper.status()["revision"] >= 50, 60.0)
+            saved = client.save_snapshot("a")
+            eventually(lambda: mapper.status()["revision"] >= saved.revision + 50, 60.0)
+            before = mapper.status()["scans"]["integrated"]
+            client.restore_snapshot("a")
+            sent = drive.sent
+        mapper.command.process.send_signal(signal.SIGKILL)
+        mapper.command.process.wait()
+        mapper = ogm.ready(ogm.mapper(*flags))
+
+        def done():
+            source = mapper.status()["robots"].get("r1", {}).get("sources", {}).get("laser")
+            return source and source["last_seq"] == scans - 1 and not source["pending"]
+
+        eventually(done, 60.0)
+        status = mapper.status()
+        with MapClient(mapper.url, timeout=60.0) as client:
+            served = client.get_map()
+    finally:
+        drive.finish.set()
+        drive.join()
+    after = status["revision"] - saved.revision
+    assert scans - sent - 1 <= after <= scans - before
+    assert (status["scans"]["lost"], status["scans"]["dropped"]["no_pose"]) == (0, 0)
+    same(served, map_of([*range(saved.revision), *range(scans - after, scans)]))
