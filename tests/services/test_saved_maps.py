@@ -103,7 +103,7 @@ OVER = pytest.mark.parametrize("over", [OverHttp, OverZenoh])
 @pytest.fixture
 def keeping(start_mapper, no_errors, tmp_path):
     """A mapper of cells of 0.5 m that stores its map, with the cross in it."""
-    sections = {"map": {"resolution": 0.5}, "mapper": {"data": str(tmp_path / "data"), "pose_wait": 0.2}}
+    sections = {"map": {"resolution": 0.5}, "mapper": {"data": str(tmp_path / "data"), "pose_wait": 60.0}}
     with start_mapper(**sections) as mapper:
         mapper.draw_cross()
         yield mapper
