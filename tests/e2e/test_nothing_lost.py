@@ -61,7 +61,8 @@ def test_a_router_that_is_killed_and_started_again_loses_nothing(tmp_path):
     assert found.sent > 500
 
 
-def test_robots_that_stop_while_the_mapper_is_away_lose_nothing(tmp_path):
-    found = robots_stopped(tmp_path, robots=4, rate=40.0)
+@pytest.mark.parametrize("routed", [False, True])
+def test_robots_that_stop_while_the_mapper_or_the_router_is_away_lose_nothing(tmp_path, routed):
+    found = robots_stopped(tmp_path, robots=4, rate=40.0, routed=routed)
     assert found.right, found
     assert found.sent > 160

@@ -221,16 +221,18 @@ def router_killed(folder: Path, kills: int, *, robots: int, rate: float) -> Outc
         return scene.settled()
 
 
-def robots_stopped(folder: Path, *, robots: int, rate: float) -> Outcome:
-    """Robots that publish no more, but are there, while the mapper is away: nothing new ever comes."""
-    with _scene(folder, range(robots), rate) as scene:
+def robots_stopped(folder: Path, *, robots: int, rate: float, routed: bool = False) -> Outcome:
+    """Robots that publish no more, but are there, while mapper or router is away: nothing new ever comes."""
+    with _scene(folder, range(robots), rate, routed=routed) as scene:
         _wait_for_scans(scene, 20 * robots)
+        away = scene.mapper if scene.router is None else scene.router
         before = scene.sent
-        scene.mapper.end()
+        away.end()
         _wait_for_scans(scene, before + 20 * robots)
         scene.note_away(sum(scene.robots.stop().values()) - before)
-        scene.mapper.start()
-        scene.mapper.wait_until_ready()
+        away.start()
+        if scene.router is None:
+            scene.mapper.wait_until_ready()
         return scene.settled()
 
 
