@@ -125,7 +125,7 @@ class Mapper(Service):
         """Scans of each robot's present run that have come, once no more do: none of them may be alive."""
         arrived, looked = self._arrived(), {}
         while arrived != looked:
-            time.sleep(1.0)
+            time.sleep(2.0)  # longer than a robot is held whose caches are gone
             arrived, looked = self._arrived(), arrived
         return arrived
 

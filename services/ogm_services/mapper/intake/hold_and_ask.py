@@ -53,6 +53,9 @@ class HoldAndAsk:
     What is missing then is asked for ASKS times in all, and lost after that; or at once if the cache has what
     comes before and after it, and if there is none. What was handed on is never asked for again.
 
+    What is resumed, out of a cache or held, waits for room: a part of the queue is for all of it. A cache
+    that is there, or must be, and does not answer is asked again before anything of its robot is handed on.
+
     Threads: Zenoh's call `take`, which reads the head of a message and mostly hands it on; one looks every
     LOOK_PERIOD; up to ASKERS ask, each for one robot. A robot's lock is held while one message of it is
     handed on.
