@@ -382,6 +382,37 @@ def test_scans_wait_for_their_poses_while_their_robot_is_held_and_when_its_cache
     assert recorder.waits[2] > time.monotonic() + robot_hold.AWAY / 2.0
 
 
+def test_what_is_missing_of_a_robot_whose_caches_have_just_gone_is_not_lost(
+    hold, recorder, cache, asked, eventually
+):
+    """As when a router ends: what comes by itself is back before its publisher's cache is."""
+    hold.cache_changed(SCANS, "one", True)
+    eventually(lambda: asked)
+    take(hold, scan(0))
+    eventually(lambda: recorder.seqs() == [0])
+    hold.cache_changed(SCANS, "one", False)
+    take(hold, scan(4))
+    eventually(lambda: len(asked) > 5 * hold_module.ASKS)
+    assert recorder.gone == []
+    publisher = cache()
+    for seq in range(5):
+        publisher.put(scan(seq))
+    eventually(lambda: recorder.seqs() == list(range(5)))
+    assert recorder.gone == []
+
+
+def test_what_is_missing_of_a_robot_whose_caches_are_gone_for_long_is_lost(
+    hold, recorder, eventually, monkeypatch
+):
+    monkeypatch.setattr(robot_hold, "AWAY", 0.0)
+    hold.cache_changed(SCANS, "one", True)
+    take(hold, scan(0))
+    hold.cache_changed(SCANS, "one", False)
+    take(hold, scan(4))
+    eventually(lambda: recorder.seqs() == [0, 4])
+    assert recorder.gone == [("s", "a", 3, [1, 2, 3])]
+
+
 def test_a_gap_that_no_cache_fills_is_asked_for_three_times_and_lost(
     hold, recorder, listener, robot_session, asked, eventually
 ):

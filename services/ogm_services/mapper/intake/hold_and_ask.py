@@ -51,7 +51,8 @@ class HoldAndAsk:
     received: it may come again from a cache.
 
     What is missing then is asked for ASKS times in all, and lost after that; or at once if the cache has what
-    comes before and after it, and if there is none. What was handed on is never asked for again.
+    comes before and after it, and if there is none. What was handed on is never asked for again. A robot
+    whose caches have gone is waited for, AWAY, before these times are counted.
 
     What is resumed, out of a cache or held, waits for room: a part of the queue is for all of it. A cache
     that is there, or must be, and does not answer is asked again before anything of its robot is handed on.
@@ -212,6 +213,9 @@ class HoldAndAsk:
             if self._stopping.is_set():
                 return
             if not progress and ((gap and not handed_on) or not whole):
+                if robot.may_come_back(time.monotonic()):
+                    self._stopping.wait(PAUSES[0])
+                    return  # it stays held, and is asked anew after others
                 fails += 1
                 if fails < ASKS:
                     self._stopping.wait(PAUSES[fails - 1])

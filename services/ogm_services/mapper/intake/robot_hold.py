@@ -30,6 +30,7 @@ class _Source:
     """When it was heard last, s."""
     caches: set[str] = field(default_factory=set)
     """Those whose tokens are there."""
+    had_cache: bool = False
     asked: float = 0.0
     """When it was asked because it was silent, s."""
     patience: float = SILENCE
@@ -142,8 +143,14 @@ class RobotHold:
             return False
         self._changed = now
         known.caches.add(cache)
+        known.had_cache = True
         known.none_of = None
         return True
+
+    def may_come_back(self, now: float) -> bool:
+        """Whether a source's caches are gone, but not for long: its publisher may be on its way back."""
+        sources = list(self._sources.values())
+        return now < self._back and any(known.had_cache and not known.caches for known in sources)
 
     def is_settling(self, now: float, settling: float) -> bool:
         """Whether a cache came within the last `settling` s: others may come yet."""
