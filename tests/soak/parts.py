@@ -85,7 +85,7 @@ def overload(seconds: float) -> Part:
 
 
 def missed(seconds: float) -> Part:
-    """Mappers, robots and routers that are killed and frozen, robots that stop: 340 kills in all.
+    """Mappers, robots and routers that are killed and frozen, robots that stop: 320 times in all.
 
     Two of these at a time: the first one takes as long as all others.
     """
