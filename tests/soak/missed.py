@@ -264,4 +264,7 @@ def scenes(kills: int) -> dict[str, Happens]:
             router_killed, kills=kills, robots=100, rate=10.0
         ),
         "4 robots at 40 Hz that stop while the mapper is away": partial(robots_stopped, robots=4, rate=40.0),
+        "4 robots at 40 Hz that stop while the router is away": partial(
+            robots_stopped, robots=4, rate=40.0, routed=True
+        ),
     }
