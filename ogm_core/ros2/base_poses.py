@@ -92,7 +92,9 @@ class BasePoses:
 
 
 def _named(path: tuple[str, ...], name: str) -> str | None:
-    return next((frame for frame in path if frame == name or frame.endswith(f"/{name}")), None)
+    if name in path:
+        return name  # what a map is called that is common to all, even where it is above a prefixed one
+    return next((frame for frame in path if frame.endswith(f"/{name}")), None)
 
 
 def _static(tree: TfTree, child: str) -> bool:

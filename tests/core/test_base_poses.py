@@ -168,3 +168,8 @@ def test_however_messages_are_mixed_each_stamp_gives_one_pose_at_most(order, dat
     stamps = [stamp for stamp, _ in given]
     assert stamps == sorted(set(stamps))
     assert set(stamps) <= {n * 50 * MS for n in order}
+
+
+def test_a_common_map_is_preferred_to_a_robot_s_own():
+    tree = tree_of("map", "r1/map", "r1/odom", "r1/base", "r1/laser", moving=("r1/odom", "r1/base"))
+    assert robot_frames(tree, "r1/laser") == RobotFrames("map", "r1/base", False)
