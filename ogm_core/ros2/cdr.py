@@ -260,6 +260,21 @@ def encode_occupancy_grid_update(update: OccupancyGridUpdate) -> bytes:
     return _encoded(message, OCCUPANCY_GRID_UPDATE, update.data)
 
 
+def field_definitions(name: str) -> list[tuple[str, tuple[str, Any]]]:
+    """The fields of a message type: name, and (kind, what).
+
+    ("base", "float32"), ("name", "std_msgs/msg/Header"), ("array", (field, count)), ("sequence", (field, 0)).
+    """
+    return [(field, _plain_field(node)) for field, node in _rosbags().store.fielddefs[name][1]]
+
+
+def _plain_field(node: Any) -> tuple[str, Any]:  # noqa: ANN401 - a node of rosbags' parse tree
+    kind, what = node[0].name.lower(), node[1]
+    if kind == "base":
+        return kind, what[0]
+    return kind, what if kind == "name" else (_plain_field(what[0]), what[1])
+
+
 @lru_cache(maxsize=1)
 def _rosbags() -> SimpleNamespace:
     """What is used of rosbags; read when the first message is, so that nobody else needs it."""

@@ -1,0 +1,65 @@
+"""Topics of robots behind a zenoh-bridge-ros2dds, on an open session to it."""
+
+import zenoh
+from zenoh import ext
+
+from ogm_core.ros2 import bridge_names
+from ogm_core.ros2.topics import Form, Topic
+from ogm_services.ros2.topic_source import Take
+from ogm_services.ros2.zenoh_subscription import NUMBERED, ZenohSubscription
+from ogm_services.ros2.zenoh_tokens import ZenohTokens
+
+
+class BridgeSource:
+    """Topics of all bridges that a session reaches. They tell no domain: each bridge is in one of its own."""
+
+    form: Form = "bridge"
+    domain: int | None = None
+
+    def __init__(self, session: zenoh.Session, where: str) -> None:
+        """`session` stays open; `where`: how it is called, in words."""
+        self.where = f"zenoh-bridge-ros2dds {where}"
+        self._session = session
+        self._tokens = ZenohTokens(session, bridge_names.TOKENS, bridge_names.read_token)
+
+    def topics(self) -> list[Topic]:
+        """Publishers and subscribers that are known by now."""
+        return self._tokens.topics()
+
+    def subscribe(self, topic: Topic, take: Take) -> ZenohSubscription:
+        """Call `take` with each message of a topic, which the bridge reads only from now on."""
+        key = bridge_names.data_key(topic.name)
+        return ZenohSubscription(self._session, [key], take, history=topic.qos.transient_local)
+
+    def publish_latched(self, name: str, message_type: str) -> "BridgeLatched":
+        """Publish on a topic; the bridge asks for its type, and tells it."""
+        return BridgeLatched(self._session, bridge_names.data_key(name))
+
+    def close(self) -> None:
+        """Withdraw; the session stays open."""
+        self._tokens.close()
+
+
+class BridgeLatched:
+    """A topic whose last message is kept for bridges that ask for it."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._publisher = ext.declare_advanced_publisher(
+            session,
+            key,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            cache=ext.CacheConfig(max_samples=1),
+            sample_miss_detection=NUMBERED,
+            publisher_detection=True,
+        )
+
+    def put(self, payload: bytes) -> None:
+        """Publish a message; it waits rather than drops it."""
+        self._publisher.put(payload)
+
+    def look(self) -> None:
+        """Nothing: a bridge that comes later asks by itself."""
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        self._publisher.undeclare()  # type: ignore[no-untyped-call]
