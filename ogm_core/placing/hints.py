@@ -152,7 +152,7 @@ _NOTHING_COUNTS = (
     "range_max of {:g} m"
 )
 _SWEPT = (
-    "by its time_increment a scan takes {:.3g} s: is that in seconds? deskew: false takes each scan at its "
+    "by its time_increment a scan takes {:.3g} s: is that in seconds? deskew: off takes each scan at its "
     "stamp"
 )
 _TURNS = "its bearings go {:.3g} times round: are they degrees? Radians are needed"

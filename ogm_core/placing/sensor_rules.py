@@ -19,6 +19,7 @@ MAX_TIME_OFFSET = 4e9
 _LAST_STAMP = 2**63 - 1
 
 Beyond = Literal["skip", "clear"]
+Deskew = Literal["auto", "off", "reversed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,8 @@ class SensorRule:
     the scan's. `beyond`: a finite range above range_max is no reading ("skip"), or means that nothing was
     there ("clear").
     `clear_range`, `reach`: m, in place of the map's. `ignore_no_return`: beams without return say nothing.
-    `deskew`: False takes the whole scan at its stamp. `mount`: the sensor's pose in the base frame.
+    `deskew`: "off" takes the whole scan at its stamp; "auto" takes its beams by its time_increment;
+    "reversed" likewise, but the last one first. `mount`: the sensor's pose in the base frame.
     `upside_down`: the bearings run the other way.
     """
 
@@ -41,7 +43,7 @@ class SensorRule:
     clear_range: float | None = None
     reach: float | None = None
     ignore_no_return: bool | None = None
-    deskew: bool | None = None
+    deskew: Deskew | None = None
     mount: Pose | None = None
     upside_down: bool | None = None
 
@@ -95,10 +97,14 @@ def _read(scan: Scan, rule: SensorRule) -> Scan:
     }
     if rule.time_offset is not None:
         changed["stamp"] = scan.stamp + round(rule.time_offset * 1e9)
-        if changed["stamp"] > _LAST_STAMP:
-            raise BadMessage(f"stamp: with the time_offset of the settings of sensors past {_LAST_STAMP} ns")
-    if rule.deskew is False:
+    if rule.deskew == "off":
         changed["time_increment"] = 0.0
+    elif rule.deskew == "reversed" and scan.time_increment > 0.0:
+        # Where time runs backwards already, as `ogm ros2` sends it, it is so.
+        changed["time_increment"] = -scan.time_increment
+        changed["stamp"] = changed.get("stamp", scan.stamp) + scan.end_stamp - scan.stamp
+    if changed.get("stamp", 0) > _LAST_STAMP:
+        raise BadMessage(f"stamp: by the settings of sensors past {_LAST_STAMP} ns")
     if rule.upside_down:
         changed |= {"angle_min": -scan.angle_min, "angle_increment": -scan.angle_increment}
     farthest = changed.get("range_max", scan.range_max)

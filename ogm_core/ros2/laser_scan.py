@@ -1,15 +1,14 @@
 """ROS 2's laser scans as this mapper takes them: where the sensor sits, and which way its beams go round."""
 
 import math
-from typing import Literal
 
 from ogm_core.errors import Tilted
+from ogm_core.placing.sensor_rules import Deskew
 from ogm_core.ros2.cdr import LaserScan
 from ogm_core.ros2.transform import Transform
 from ogm_core.types import Scan
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, scan_from_fields
 
-Deskew = Literal["off", "auto", "reversed"]
 MAX_TILT = math.radians(10.0)
 
 

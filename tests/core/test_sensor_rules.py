@@ -77,7 +77,7 @@ def test_no_return_is_ignored_be_it_inf_or_range_max():
 def test_the_other_keys():
     one = scan(time_increment=0.001, mount=Pose(1, 2, 3))
     found = read(
-        one, upside_down=True, mount=Pose(0, 0, 1), deskew=False, clear_range=2.0, reach=4.0, time_offset=-1.5
+        one, upside_down=True, mount=Pose(0, 0, 1), deskew="off", clear_range=2.0, reach=4.0, time_offset=-1.5
     )
     assert (found.angle_min, found.angle_increment, found.mount) == (1.0, -0.5, Pose(0, 0, 1))
     assert (found.time_increment, found.clear_range, found.reach, found.stamp) == (
@@ -86,8 +86,17 @@ def test_the_other_keys():
         4.0,
         -500_000_000,
     )
-    same = read(one, upside_down=False, deskew=True, ignore_no_return=False, range_min=0.2)
+    same = read(one, upside_down=False, deskew="auto", ignore_no_return=False, range_min=0.2)
     assert (same.angle_min, same.time_increment, same.range_min) == (-1.0, 0.001, 0.2)
+
+
+def test_a_reversed_sweep_began_with_its_last_beam():
+    one = scan([1.0, 2.0, 3.0], stamp=10**9, time_increment=0.001)
+    found = read(one, deskew="reversed", time_offset=-0.5)
+    assert (found.stamp, found.end_stamp, found.time_increment) == (502_000_000, 500_000_000, -0.001)
+    assert read(found, deskew="reversed").stamp == found.stamp
+    with pytest.raises(BadMessage, match="stamp: by the settings of sensors past"):
+        read(scan([1.0, 2.0], stamp=2**63 - 1, time_increment=0.001), deskew="reversed")
 
 
 def test_a_range_min_that_is_not_below_the_scans_range_max_is_an_error():
@@ -99,5 +108,5 @@ def test_a_range_min_that_is_not_below_the_scans_range_max_is_an_error():
 
 def test_a_stamp_that_an_offset_moves_past_the_end_of_time_is_an_error():
     assert read(scan(stamp=2**63 - 1), time_offset=-1.0).stamp == 2**63 - 1 - 10**9
-    with pytest.raises(BadMessage, match="stamp: with the time_offset of the settings of sensors past"):
+    with pytest.raises(BadMessage, match="stamp: by the settings of sensors past"):
         read(scan(stamp=2**63 - 1), time_offset=1.0)

@@ -25,7 +25,7 @@ sensors:
     range_max: 8
 """
 FRONT = SensorRule(
-    *("r1/front", -0.05, 0.2, 12.0, "clear", 3.5, 10.0, True, False),
+    *("r1/front", -0.05, 0.2, 12.0, "clear", 3.5, 10.0, True, "off"),
     mount=Pose(0.1, -0.2, 3.14),
     upside_down=True,
 )

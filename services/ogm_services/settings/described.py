@@ -8,7 +8,7 @@ from pydantic import BaseModel, SecretStr
 from ogm_core.errors import printable
 from ogm_core.files.strict_yaml import dump_yaml
 from ogm_core.wire.addresses import MASKED, masked
-from ogm_services.settings.settings import SECTIONS, Settings
+from ogm_services.settings.settings import LISTS, SECTIONS, Settings
 
 if TYPE_CHECKING:
     from ogm_services.settings.sources import Origins
@@ -31,11 +31,13 @@ def described(settings: Settings, origins: "Origins") -> str:
             origin = origins.settings.get((section, key))
             # Names of files may hold anything.
             lines.append(f"  # {line}  # default" if origin is None else f"  {line}  # {printable(origin)}")
-    lines.append("sensors:" if settings.sensors else "# sensors: []  # default")
-    for sensor, origin in zip(settings.sensors, origins.sensors, strict=True):
-        entry = sensor.model_dump(mode="json", exclude_none=True)
-        first, *rest = [_line(key, value) for key, value in entry.items()]
-        lines += [f"- {first}  # {printable(origin)}", *(f"  {line}" for line in rest)]
+    for name in LISTS:
+        entries: tuple[BaseModel, ...] = getattr(settings, name)
+        lines.append(f"{name}:" if entries else f"# {name}: []  # default")
+        for each, origin in zip(entries, origins.lists[name], strict=True):
+            entry = each.model_dump(mode="json", exclude_none=True)
+            first, *rest = [_line(key, value) for key, value in entry.items()]
+            lines += [f"- {first}  # {printable(origin)}", *(f"  {line}" for line in rest)]
     return "\n".join(lines) + "\n"
 
 
@@ -49,8 +51,9 @@ def differences(settings: Settings) -> list[str]:
             for key in kind.model_fields
             if getattr(ours, key) != getattr(usual, key)
         ]
-    if settings.sensors:
-        found.append("sensors=" + "; ".join(sensor.match for sensor in settings.sensors))
+    for name in LISTS:
+        if entries := getattr(settings, name):
+            found.append(f"{name}=" + "; ".join(entry.match for entry in entries))
     return found
 
 

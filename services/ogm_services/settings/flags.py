@@ -20,7 +20,7 @@ from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversa
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.runtime.log_lines import log_to_stderr, tell
 from ogm_services.settings.described import described
-from ogm_services.settings.sensors import FORM
+from ogm_services.settings.entries import FORM
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, settings_and_origins
 from ogm_services.settings.values import LogFormat, LogLevel, Preset
@@ -280,12 +280,21 @@ SensorFlags = Annotated[
         rich_help_panel=PANELS["map"],
     ),
 ]
+RobotFlags = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--robot",
+        metavar=FORM,
+        help="What a robot of ROS 2 does not say: origin, name; GLOB is that of its name (repeatable).",
+    ),
+]
 
 
 def settings_from(
     config: Path | None,
     *groups: _SettingFlags,
     sensors: list[str] | None = None,
+    robots: list[str] | None = None,
     print_config: bool = False,
 ) -> Settings:
     """Settings of a command, from its flags, this process's environment and its settings file.
@@ -301,6 +310,7 @@ def settings_from(
         flags={group.section: group.given() for group in groups},
         environ=os.environ,
         sensors=sensors or (),
+        robots=robots or (),
         tell=notes.append,
     )
     logs = any(isinstance(group, LoggingFlags) for group in groups)

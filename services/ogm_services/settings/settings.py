@@ -36,6 +36,7 @@ from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
+from ogm_services.settings.robots import RobotSettings
 from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
     LOWER_CASE,
@@ -242,6 +243,7 @@ class Settings(BaseModel):
     mapper: MapperSettings = Field(default_factory=MapperSettings)
     log: LogSettings = Field(default_factory=LogSettings)
     sensors: tuple[SensorSettings, ...] = ()
+    robots: tuple[RobotSettings, ...] = ()
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -299,4 +301,6 @@ SECTIONS: Mapping[str, type[BaseModel]] = {
     "mapper": MapperSettings,
     "log": LogSettings,
 }
-"""The sections of `Settings`, by name."""
+"""The sections of `Settings` that hold settings, by name."""
+LISTS: Mapping[str, type[BaseModel]] = {"sensors": SensorSettings, "robots": RobotSettings}
+"""Those that are lists of mappings."""

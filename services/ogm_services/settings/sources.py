@@ -9,17 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import parse_yaml
-from ogm_services.settings.sensors import SensorSettings, parse_entry, read_entry
-from ogm_services.settings.settings import SECTIONS, Settings
+from ogm_services.settings.entries import parse_entry, read_entry
+from ogm_services.settings.settings import LISTS, SECTIONS, Settings
 from ogm_services.settings.values import PRESETS, did_you_mean
 
-SENSORS = "sensors"
-"""The one section that is a list."""
 RENAMED = {("map", "model"): ("map", "sensor_model")}
 """Former names of settings: they hold for one release, and say so."""
 
@@ -40,13 +38,13 @@ _Source = dict[tuple[str, str], _Given]
 
 @dataclass(frozen=True)
 class Origins:
-    """Where settings come from, as the user knows it: by section and key; of sensors in their order.
+    """Where settings come from, as the user knows it: by section and key; of lists in their order.
 
     What is not there is a default.
     """
 
     settings: Mapping[tuple[str, str], str]
-    sensors: Sequence[str]
+    lists: Mapping[str, Sequence[str]]
 
 
 def load_settings(
@@ -55,10 +53,13 @@ def load_settings(
     flags: Mapping[str, Mapping[str, Any]],
     environ: Mapping[str, str],
     sensors: Iterable[str] = (),
+    robots: Iterable[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Settings:
     """Settings from all sources, as `settings_and_origins` finds them."""
-    return settings_and_origins(config=config, flags=flags, environ=environ, sensors=sensors, tell=tell)[0]
+    return settings_and_origins(
+        config=config, flags=flags, environ=environ, sensors=sensors, robots=robots, tell=tell
+    )[0]
 
 
 def settings_and_origins(
@@ -67,11 +68,13 @@ def settings_and_origins(
     flags: Mapping[str, Mapping[str, Any]],
     environ: Mapping[str, str],
     sensors: Iterable[str] = (),
+    robots: Iterable[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> tuple[Settings, Origins]:
     """Settings from all sources: `config` is a YAML file, `flags` the values given as flags, by section.
 
-    `sensors` are the texts of `--sensor`. Of sensors, those of a later source are looked at first.
+    `sensors` and `robots` are the texts of `--sensor` and `--robot`. Of lists, the entries of a later source
+    are looked at first.
 
     `tell` is told what is no error, but should be changed.
 
@@ -91,10 +94,13 @@ def settings_and_origins(
     values: dict[str, Any] = {}
     for (section, key), item in given.items():
         values.setdefault(section, {})[key] = item.value
-    entries = [*_sensors_as_text(sensors, environ), *_sensors_of_file(content, config)]
-    if entries:
-        values[SENSORS] = [entry for entry, _ in entries]
-    origins = Origins({name: item.source for name, item in given.items()}, [source for _, source in entries])
+    lists: dict[str, list[str]] = {}
+    for section, texts in (("sensors", sensors), ("robots", robots)):
+        entries = [*_entries_as_text(section, texts, environ), *_entries_of_file(section, content, config)]
+        lists[section] = [source for _, source in entries]
+        if entries:
+            values[section] = [entry for entry, _ in entries]
+    origins = Origins({name: item.source for name, item in given.items()}, lists)
     try:
         return Settings.model_validate(values), origins
     except ValidationError as error:
@@ -140,28 +146,40 @@ def _file_content(path: Path) -> Mapping[Any, Any]:
 def _from_file(content: Mapping[Any, Any], path: Path | None) -> _Source:
     given: _Source = {}
     for section, values in content.items():
-        if section == SENSORS:
+        if section in LISTS:
             continue
-        _check_known(f"{path}: ", str(section), {**SECTIONS, SENSORS: None})
+        _check_known(f"{path}: ", str(section), {**SECTIONS, **LISTS})
         for key, value in _mapping(values, f"{path}: {section}").items():
             _check_known(f"{path}: ", f"{section}.{key}", _names("{}.{}"))
             given[section, key] = _Given(value, f"file {path}")
     return given
 
 
-def _sensors_of_file(content: Mapping[Any, Any], path: Path | None) -> list[tuple[SensorSettings, str]]:
-    entries = content.get(SENSORS) or []
+def _entries_of_file(
+    section: str, content: Mapping[Any, Any], path: Path | None
+) -> list[tuple[BaseModel, str]]:
+    entries = content.get(section) or []
     if not isinstance(entries, list):
-        raise BadSetting(f"{path}: {SENSORS}: a list of mappings is needed, got {entries!r:.40}")
-    return [(read_entry(entry, f"file {path}"), f"file {path}") for entry in entries]
+        raise BadSetting(f"{path}: {section}: a list of mappings is needed, got {entries!r:.40}")
+    return [(read_entry(LISTS[section], section, entry, f"file {path}"), f"file {path}") for entry in entries]
 
 
-def _sensors_as_text(flags: Iterable[str], environ: Mapping[str, str]) -> list[tuple[SensorSettings, str]]:
-    texts = [(text, "--sensor") for text in flags]
-    variable = f"OGM_{SENSORS.upper()}"
+def _entries_as_text(
+    section: str, flags: Iterable[str], environ: Mapping[str, str]
+) -> list[tuple[BaseModel, str]]:
+    texts = [(text, f"--{section.removesuffix('s')}") for text in flags]
+    variable = _variable(section)
     in_variable = filter(str.strip, environ.get(variable, "").split(";"))
     texts += [(text, f"environment {variable}") for text in in_variable]
-    return [(read_entry(parse_entry(text, source), source), source) for text, source in texts]
+    return [
+        (read_entry(LISTS[section], section, parse_entry(section, text, source), source), source)
+        for text, source in texts
+    ]
+
+
+def _variable(section: str) -> str:
+    """The variable of the environment that holds the entries of a list."""
+    return f"OGM_{section.upper()}"
 
 
 def _mapping(content: object, where: str) -> Mapping[Any, Any]:
@@ -180,14 +198,14 @@ def _from_environment(environ: Mapping[str, str]) -> _Source:
         raise BadSetting(f"environment {name}: unknown setting (did you mean {single[name]}?)")
     for name in filter(_is_setting, environ):
         if "__" not in name:
-            continue  # the sensors'
+            continue  # of a list
         _check_known("environment ", name, known)
         given[known[name]] = _Given(environ[name], f"environment {name}")
     return given
 
 
 def _is_setting(variable: str) -> bool:
-    return variable.startswith("OGM_") and ("__" in variable or variable == f"OGM_{SENSORS.upper()}")
+    return variable.startswith("OGM_") and ("__" in variable or variable in map(_variable, LISTS))
 
 
 def _from_flags(flags: Mapping[str, Mapping[str, Any]]) -> _Source:
