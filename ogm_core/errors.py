@@ -15,6 +15,7 @@ OgmError
 |   +-- NoPose            its robot's poses do not tell where it was taken
 |   |   +-- NoTransform   the transforms between ROS 2 frames do not tell it
 |   |       +-- NoTransformYet   and those to come may
+|   +-- NoCommonFrame     its robot's poses are in a frame that has no place in the map
 |   +-- Tilted            its sensor does not look along the floor
 |   +-- Stale             it lies before the robot's oldest kept pose
 |   +-- LimitReached      it would stretch the map past its limits; so would a map to start with
@@ -129,6 +130,12 @@ class NoTransform(NoPose):
 
 class NoTransformYet(NoTransform):
     """Nothing is known of it so far: what comes later may tell."""
+
+
+class NoCommonFrame(ScanRefused):
+    """A scan's robot has poses in a frame of its own, of which nobody says where in the map it lies."""
+
+    slug = "no_common_frame"
 
 
 class Tilted(ScanRefused):

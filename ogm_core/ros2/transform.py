@@ -42,6 +42,13 @@ class Transform(NamedTuple):
             w * v - a * d - b * e - c * f,
         )
 
+    def inverse(self) -> "Transform":
+        """The parent frame in the child's."""
+        x, y, z, a, b, c, w = self
+        turned = Transform(0.0, 0.0, 0.0, -a, -b, -c, w)
+        px, py, pz = turned.compose(Transform(-x, -y, -z, 0.0, 0.0, 0.0, 1.0))[:3]
+        return Transform(px, py, pz, -a, -b, -c, w)
+
     def between(self, other: "Transform", fraction: float) -> "Transform":
         """What lies `fraction` of the way to another one: linear in position, by the shorter arc in rotation.
 
@@ -84,6 +91,12 @@ class Transform(NamedTuple):
         _, _, _, a, b, c, w = self
         heading = math.atan2(2.0 * (a * b + w * c), 1.0 - 2.0 * (b * b + c * c))
         return Pose(self.x, self.y, heading)
+
+
+def level(pose: Pose) -> Transform:
+    """The transform of a pose on the floor, upright."""
+    half = pose.theta / 2.0
+    return Transform(pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
 
 
 IDENTITY = Transform(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)

@@ -5,10 +5,7 @@ Commands import what they need when they run, so that `ogm --help` answers at on
 
 import json
 import math
-import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -17,11 +14,13 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
+from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
-from ogm_services.runtime.log_lines import log_nothing, log_to_stderr
+from ogm_services.runtime.log_lines import log_nothing
+from ogm_services.runtime.logged_service import logged_service
 from ogm_services.runtime.signals import running_service
 from ogm_services.runtime.terminal import outlive_terminal
 from ogm_services.settings.flags import (
@@ -39,7 +38,6 @@ from ogm_services.settings.flags import (
     settings_from,
     with_flag_groups,
 )
-from ogm_services.settings.settings import LogSettings
 
 app = typer.Typer(
     name="ogm",
@@ -127,7 +125,7 @@ def demo(
     settings = settings_from(
         config, map_flags, network, http, logging, sensors=sensor, print_config=print_config
     )
-    with _service(settings.log), kernel_cache():
+    with logged_service(*settings.log.as_given), kernel_cache():
         with loading():
             from ogm_services.commands.demo import run_demo
         run_demo(settings, world=world, start=begin, duration=duration, out=out)
@@ -149,7 +147,7 @@ def mapper(
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
     groups = map_flags, mapper_flags, network, http, logging
     settings = settings_from(config, *groups, sensors=sensor, print_config=print_config)
-    with _service(settings.log), kernel_cache():
+    with logged_service(*settings.log.as_given), kernel_cache():
         with loading():
             from ogm_services.mapper.service import run_mapper
         run_mapper(settings, out)
@@ -209,24 +207,13 @@ def simulate(
     settings = settings_from(config, network, logging, print_config=print_config)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")
-    with _service(settings.log, interrupted=0 if out is None else INTERRUPTED):
+    with logged_service(*settings.log.as_given, interrupted=0 if out is None else INTERRUPTED):
         with loading():
             from ogm_services.commands.simulator import record, run_simulator
         if out is None:
             run_simulator(settings.network, options)
         else:
             record(options, out)
-
-
-@contextmanager
-def _service(log: LogSettings, interrupted: int = 0) -> Iterator[None]:
-    """What runs inside logs, and ends in order at a signal, with exit code `interrupted`."""
-    if "RUST_LOG" in os.environ:
-        import zenoh
-
-        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
-    with log_to_stderr(log.level, log.format), running_service(interrupted):
-        yield
 
 
 def _point(flag: str, text: str | None) -> tuple[float, float] | None:
@@ -272,7 +259,7 @@ def replay(
     """Publish a recorded log as its robots did."""
     factor = _speed(speed)
     settings = settings_from(config, network, logging, print_config=print_config)
-    with _service(settings.log, interrupted=INTERRUPTED):
+    with logged_service(*settings.log.as_given, interrupted=INTERRUPTED):
         with loading():
             from ogm_services.commands.replay import run_replay
         run_replay(
@@ -422,3 +409,6 @@ def repair(
         with loading():
             from ogm_services.commands.repair import run_repair
         run_repair(folder, out)
+
+
+app.command()(ros2)

@@ -12,7 +12,8 @@ from ogm_core.errors import BadMessage, NoTransform, NoTransformYet
 from ogm_core.ros2.cdr import StampedTransform
 from ogm_core.ros2.tf_history import MAX_SAMPLES, SPAN_NS
 from ogm_core.ros2.tf_tree import MAX_FRAMES, TfTree
-from ogm_core.ros2.transform import IDENTITY, Transform, unit
+from ogm_core.ros2.transform import IDENTITY, Transform, level, unit
+from ogm_core.types import Pose
 
 S = 10**9
 MS = 10**6
@@ -305,3 +306,10 @@ def test_frames_are_bounded():
     assert len(tree.frames) == MAX_FRAMES + 1
     tree.add([edge(9, "odom", "f0", at(x=1))])  # those that are there go on
     assert tree.lookup("odom", "f0", 9).x == 1.0
+
+
+def test_an_inverse_undoes_its_transform_and_a_level_pose_is_itself():
+    there = unit(Transform(1.0, -2.0, 0.5, 0.1, 0.2, 0.3, math.sqrt(1 - 0.14)))
+    assert there.compose(there.inverse()) == pytest.approx(IDENTITY, abs=1e-12)
+    assert there.inverse().compose(there) == pytest.approx(IDENTITY, abs=1e-12)
+    assert level(Pose(1.0, 2.0, -2.5)).planar() == pytest.approx(Pose(1.0, 2.0, -2.5))

@@ -41,6 +41,9 @@ FLAGS = {
         f"snapshot {write}": "--json --token-file --url --map --zenoh-config --config"
         for write in ("save", "restore", "delete")
     },
+    "ros2": "--list --json --dds --interface --zenoh --domain --scan-topic --cloud-topic --z-band --bins "
+    "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --robot --sensor --config "
+    f"{NETWORK_FLAGS} {SERVICE_FLAGS}",
 }
 
 
@@ -153,6 +156,26 @@ def one_line(result, code):
         ("simulate --start 1,inf", "--start: two numbers X,Y"),
         ("demo --start here", "--start: two numbers X,Y in metres are needed, got 'here'"),
         ("simulate --map a/b", "map_name 'a/b'"),
+        ("ros2", "where are the robots? --dds"),
+        ("ros2 --list", "where are the robots? --dds"),
+        ("ros2 --zenoh tcp/a:1 --json", "--json: it goes with --list"),
+        ("ros2 --zenoh tcp/a:1 --interface lo", "--interface: it is DDS's"),
+        ("ros2 --dds --domain x", "--domain: whole numbers such as 0 or 0,1 are needed, got 'x'"),
+        ("ros2 --dds --domain 0,233", "--domain: 0 to 232 are needed, got 233"),
+        ("ros2 --dds --mount 1,2,3", "--mount: it goes with --pose-topic"),
+        ("ros2 --dds --pose-topic /p --mount 1,2", "--mount: three finite numbers X,Y,THETA"),
+        ("ros2 --dds --pose-topic p", "'p': names of topics begin with /"),
+        ("ros2 --dds --bins 10", "--cloud-topic is needed"),
+        ("ros2 --dds --cloud-topic /c --bins 0", "bins: 1 to 36000 are needed, got 0"),
+        (
+            "ros2 --dds --cloud-topic /c --z-band 1",
+            "--z-band: two numbers MIN,MAX in metres are needed, got '1'",
+        ),
+        ("ros2 --dds --cloud-topic /c --z-band 1,0", "z band: finite z_min < z_max is needed"),
+        ("ros2 --dds --tf-hold -1", "--tf-hold: 0 to 60 s are needed, got -1"),
+        ("ros2 --dds --scan-delay nan", "--scan-delay: -10 to 10 s, got nan"),
+        ("ros2 --dds --sensor r/s:range_max=3", "sensors.range_max: that is for the mapper"),
+        ("ros2 --dds --robot r:origin=1", "robots.origin: three finite numbers X,Y,THETA"),
         ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
         ("replay x.log --speed 0", "--speed"),
         ("replay x.log --speed inf", "--speed"),

@@ -227,6 +227,11 @@ class LogSettings(_Section):
     level: Annotated[LogLevel, LOWER_CASE] = "info"
     format: Annotated[LogFormat, LOWER_CASE] = "text"
 
+    @property
+    def as_given(self) -> tuple[LogLevel, LogFormat]:
+        """Both."""
+        return self.level, self.format
+
 
 class Settings(BaseModel):
     """All settings of a service, checked against each other.

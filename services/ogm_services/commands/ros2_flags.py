@@ -1,0 +1,228 @@
+"""The command `ogm ros2` and its flags; what it does is in `ros2`, which is loaded when it runs."""
+
+import math
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ogm_core.errors import BadInput, BadSetting
+from ogm_core.types import Pose
+from ogm_services.runtime.loading import loading
+from ogm_services.runtime.logged_service import logged_service
+from ogm_services.settings.flags import (
+    ConfigFile,
+    LoggingFlags,
+    NetworkFlags,
+    PrintConfig,
+    RobotFlags,
+    SensorFlags,
+    settings_from,
+    with_flag_groups,
+)
+from ogm_services.settings.values import parse_pose
+
+if TYPE_CHECKING:
+    from ogm_services.commands.ros2 import Networks
+    from ogm_services.ros2.options import Ros2Options
+
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
+_ROBOTS, _TOPICS = "Robots", "Topics"
+
+
+@dataclass(frozen=True)
+class WhereFlags:
+    """Flags of where robots are."""
+
+    dds: Annotated[
+        bool,
+        typer.Option(
+            "--dds",
+            help="Robots on DDS, the default of ROS 2: join it. It makes itself known by multicast.",
+            rich_help_panel=_ROBOTS,
+        ),
+    ] = False
+    interface: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Network interface for --dds (default: that of the default route); lo: this machine alone.",
+            rich_help_panel=_ROBOTS,
+        ),
+    ] = None
+    zenoh: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINTS",
+            help="Robots on Zenoh: rmw_zenoh's router, or a zenoh-bridge-ros2dds, as tcp/ROBOT:7447; several "
+            "are separated by commas.",
+            rich_help_panel=_ROBOTS,
+        ),
+    ] = None
+    domain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,...",
+            help=f"Domains to look in (default: {DOMAIN_VARIABLE}, else 0). A bridge tells none.",
+            rich_help_panel=_ROBOTS,
+        ),
+    ] = None
+
+    def networks(self) -> "Networks":
+        """The networks that they name.
+
+        Raises:
+            BadInput: they name none, or contradict each other.
+        """
+        from ogm_services.commands.ros2 import Networks
+
+        endpoints = tuple(part.strip() for part in (self.zenoh or "").split(",") if part.strip())
+        return Networks(self.dds, endpoints, _domains(self.domain), self.interface)
+
+
+@dataclass(frozen=True)
+class TopicFlags:
+    """Flags of which topics are read, and how."""
+
+    scan_topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB", help="LaserScans to map (repeatable; default: *, all).", rich_help_panel=_TOPICS
+        ),
+    ] = None
+    cloud_topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB", help="PointCloud2s to map as scans (repeatable).", rich_help_panel=_TOPICS
+        ),
+    ] = None
+    z_band: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MIN,MAX",
+            help="Heights above the base between which points of clouds count, m (default: 0.1,1.5).",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = None
+    bins: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Beams of a cloud's scan (default: 720).", rich_help_panel=_TOPICS),
+    ] = None
+    pose_topic: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB",
+            help="Take poses from it, not from tf: a PoseStamped, PoseWithCovarianceStamped or Odometry.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = None
+    mount: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="With --pose-topic: where the sensor is on the robot, m and rad.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = None
+    scan_delay: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="Is added to the stamps of all scans.", rich_help_panel=_TOPICS),
+    ] = 0.0
+    tf_hold: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="So long map->odom holds past its newest transform; odom->base never does.",
+            rich_help_panel=_TOPICS,
+        ),
+    ] = 1.0
+    map_frame: Annotated[
+        str, typer.Option(metavar="NAME", help="The frame that the map is in.", rich_help_panel=_TOPICS)
+    ] = "map"
+    odom_frame: Annotated[
+        str, typer.Option(metavar="NAME", help="The frame of the odometry.", rich_help_panel=_TOPICS)
+    ] = "odom"
+
+    def options(self) -> "Ros2Options":
+        """The same, checked.
+
+        Raises:
+            BadInput: one is not allowed.
+        """
+        from ogm_core.ros2.point_cloud import DEFAULT_BINS, Flattening
+        from ogm_services.ros2.options import DEFAULT_BAND, Ros2Options
+
+        clouds = tuple(self.cloud_topic or ())
+        if not clouds and (self.z_band is not None or self.bins is not None):
+            raise BadInput("--z-band, --bins: they are for clouds, so --cloud-topic is needed, too")
+        low, high = DEFAULT_BAND if self.z_band is None else _band(self.z_band)
+        return Ros2Options(
+            scan_topics=tuple(self.scan_topic or ("*",)),
+            cloud_topics=clouds,
+            flattening=Flattening(low, high, DEFAULT_BINS if self.bins is None else self.bins),
+            pose_topics=tuple(self.pose_topic or ()),
+            mount=None if self.mount is None else _pose(self.mount),
+            tf_hold=self.tf_hold,
+            scan_delay=self.scan_delay,
+            map_frame=self.map_frame,
+            odom_frame=self.odom_frame,
+        )
+
+
+@with_flag_groups
+def ros2(
+    where: WhereFlags,
+    topics: TopicFlags,
+    network: NetworkFlags,
+    logging: LoggingFlags,
+    config: ConfigFile = None,
+    print_config: PrintConfig = False,
+    sensor: SensorFlags = None,
+    robot: RobotFlags = None,
+    listed: Annotated[
+        bool, typer.Option("--list", help="List the topics that robots publish, and do nothing else.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="With --list: print JSON.")] = False,
+) -> None:
+    """Put robots that run ROS 2, as they are, on a mapper's map."""
+    groups = network, logging
+    settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
+    if as_json and not listed:
+        raise BadInput("--json: it goes with --list")
+    with logged_service(*settings.log.as_given):
+        with loading():
+            from ogm_services.commands.ros2 import check_sensors, list_topics, run_ros2
+        networks = where.networks()
+        if listed:
+            list_topics(networks, as_json=as_json)
+        else:
+            check_sensors(sensor)
+            run_ros2(networks, topics.options(), settings)
+
+
+def _domains(text: str | None) -> tuple[int, ...]:
+    name, text = (
+        ("--domain", text) if text is not None else (DOMAIN_VARIABLE, os.environ.get(DOMAIN_VARIABLE))
+    )
+    parts = [part.strip() for part in (text or "0").split(",")]
+    if not all(part.isascii() and part.isdigit() and len(part) <= 3 for part in parts):
+        raise BadSetting(f"{name}: whole numbers such as 0 or 0,1 are needed, got {text!r}")
+    return tuple(dict.fromkeys(map(int, parts)))
+
+
+def _band(text: str) -> tuple[float, float]:
+    try:
+        low, high = map(float, text.split(","))
+    except ValueError:
+        low = high = math.nan
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise BadInput(f"--z-band: two numbers MIN,MAX in metres are needed, got {text!r}")
+    return low, high
+
+
+def _pose(text: str) -> Pose:
+    try:
+        return parse_pose(text)
+    except ValueError as error:
+        raise BadInput(f"--mount: {error}, got {text!r}") from None

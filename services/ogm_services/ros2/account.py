@@ -1,0 +1,34 @@
+"""Account of what became of robots' messages: counted, and what is wrong is told at a limited rate."""
+
+from collections import Counter
+
+from ogm_services.runtime.limited_log import LimitedLog
+
+SENT = "sent"
+
+
+class Account:
+    """Counts by source, a robot's sensor or a topic, and outcome: sent, or why not."""
+
+    def __init__(self, log: LimitedLog) -> None:
+        self._log = log
+        self.counts: dict[str, Counter[str]] = {}
+
+    def sent(self, source: str) -> None:
+        """A scan went on to the mapper."""
+        self._of(source)[SENT] += 1
+
+    def dropped(self, source: str, reason: str, text: str, kind: str | None = None) -> None:
+        """A message was not used; `kind`: complaints of one kind are told together."""
+        self._of(source)[reason] += 1
+        self._log.of_kind(source, kind or reason, f"{reason}: {text}")
+
+    def lines(self) -> list[str]:
+        """A line for each source, sorted."""
+        return [
+            f"{source}: " + ", ".join(f"{count} {outcome}" for outcome, count in sorted(found.items()))
+            for source, found in sorted(self.counts.items())
+        ]
+
+    def _of(self, source: str) -> Counter[str]:
+        return self.counts.setdefault(source, Counter())

@@ -1,0 +1,54 @@
+"""Mapped robot: one that a mapper is told of, by our own messages, under one name."""
+
+import uuid
+from collections import Counter
+from collections.abc import Callable
+
+from ogm_client.robot import RobotPublisher
+from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
+
+MakeScan = Callable[[int, str], Scan]
+"""A scan of a number and run."""
+
+
+class MappedRobot:
+    """Sends a robot's poses and scans, numbered as they come, in a run that is new at each start."""
+
+    def __init__(self, publisher: RobotPublisher, origin: Pose | None) -> None:
+        """`origin`: where the frame of the poses that are given lies in the map; None: it is the map's."""
+        self.name = publisher.robot
+        self.origin = origin
+        self._publisher = publisher
+        self._begin(publisher.run)
+
+    def begin_run(self) -> None:
+        """Number anew, as what was sent before has no more to do with what follows."""
+        self._begin(uuid.uuid4().hex)
+
+    def send_pose(self, stamp: int, pose: Pose) -> None:
+        """Send the pose of its base at a stamp, ns.
+
+        Raises:
+            BadMessage: the stamp is no mapper's.
+        """
+        placed = (self.origin or IDENTITY).compose(pose)
+        self._publisher.put_pose(PoseStamped(stamp, placed, self._poses, self._run))
+        self._poses += 1
+
+    def send_scan(self, sensor: str, make: MakeScan) -> None:
+        """Send a scan that is made for its number and run.
+
+        Raises:
+            BadMessage, Tilted: it cannot be made; no number is used up.
+        """
+        self._publisher.put_scan(sensor, make(self._seqs[sensor], self._run))
+        self._seqs[sensor] += 1
+
+    def close(self) -> None:
+        """Withdraw; what it keeps for the mapper is gone."""
+        self._publisher.close()
+
+    def _begin(self, run: str) -> None:
+        self._run = run
+        self._seqs: Counter[str] = Counter()
+        self._poses = 0

@@ -1,0 +1,33 @@
+"""Pose source: what tells a group of robots' poses, and where their sensors are on them."""
+
+from typing import NamedTuple, Protocol
+
+from ogm_core.ros2.cdr import LaserScan, PointCloud2
+from ogm_core.ros2.transform import Transform
+from ogm_services.ros2.mapped_robot import MappedRobot
+from ogm_services.ros2.sensor_feed import SensorFeed
+
+
+class Mounted(NamedTuple):
+    """Whose a message is, and as which of its sensors."""
+
+    robot: MappedRobot
+    sensor: str
+
+
+class PoseSource(Protocol):
+    """The robots of one source and namespace."""
+
+    def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
+        """Whose sensor a message is of.
+
+        Raises:
+            NoTransformYet: nothing tells it so far.
+            ScanRefused: it can be nobody's.
+        """
+
+    def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
+        """Where the sensor was on its robot at a stamp, ns; raises as `owner` does."""
+
+    def send_poses(self) -> None:
+        """Send what can be told by now."""

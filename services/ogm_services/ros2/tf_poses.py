@@ -1,0 +1,116 @@
+"""Poses from tf: a tree of frames, of one source and namespace, and the robots that it holds."""
+
+from dataclasses import dataclass
+
+from ogm_core.errors import BadMessage, NoTransform, NoTransformYet
+from ogm_core.ros2.base_poses import BasePoses, RobotFrames, robot_frames
+from ogm_core.ros2.cdr import LaserScan, PointCloud2, decode_tf_message
+from ogm_core.ros2.robot_names import prefix_of, robot_name, sensor_name
+from ogm_core.ros2.tf_tree import TfTree
+from ogm_core.ros2.transform import Transform
+from ogm_services.ros2.account import Account
+from ogm_services.ros2.mapped_robot import MappedRobot
+from ogm_services.ros2.options import Ros2Options
+from ogm_services.ros2.pose_source import Mounted
+from ogm_services.ros2.robots import RobotKey, Robots
+from ogm_services.ros2.sensor_feed import SensorFeed
+
+MAP_WAIT = 2.0
+"""So long a map frame is waited for above a robot's odometry, s."""
+BASES = ("base_link", "base_footprint")
+"""What a robot's base is called whose sensor is not in tf."""
+
+
+@dataclass(slots=True)
+class _Followed:
+    """A robot of the tree."""
+
+    robot: MappedRobot
+    frames: RobotFrames
+    poses: BasePoses
+
+
+class TfPoses:
+    """What /tf and /tf_static of one source and namespace tell."""
+
+    def __init__(
+        self,
+        where: str,
+        namespace: str,
+        otherwise: str,
+        robots: Robots,
+        account: Account,
+        options: Ros2Options,
+        pose_gap: float,
+    ) -> None:
+        """`otherwise`: the name of a robot with neither namespace nor prefix."""
+        self._where, self._namespace, self._otherwise = where, namespace, otherwise
+        self._robots, self._account, self._options = robots, account, options
+        self._tree = TfTree(pose_gap=pose_gap, tf_hold=options.tf_hold)
+        self._followed: dict[str, _Followed] = {}
+        self._mapless: dict[str, float] = {}
+        """Since when a robot's tf has led to its odometry only, s; by prefix."""
+
+    def add(self, payload: bytes, *, static: bool) -> None:
+        """Take in a message of /tf, or of /tf_static.
+
+        Raises:
+            BadCdr: it is none.
+        """
+        self._tree.add(decode_tf_message(payload), static=static)
+
+    def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
+        """Whose sensor a message is of; `now` in s."""
+        frames = self._frames_of(message.frame)
+        prefix = prefix_of(frames.base)
+        followed = self._followed.get(prefix)
+        if followed is None or followed.frames.fixed != frames.fixed:
+            followed = self._follow(prefix, frames, now)
+        name = robot_name(self._namespace, prefix, self._otherwise)
+        return Mounted(followed.robot, sensor_name(feed.topic.name, self._namespace, name))
+
+    def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
+        """Where the sensor was on its robot at a stamp, ns."""
+        base, tree = self._base_of(mounted.robot), self._tree
+        if base in tree.path(message.frame) or tree.edge(message.frame) is None:
+            return tree.lookup(base, message.frame, stamp)
+        # The odometry's frame may have several children, as base_link and base_footprint, that move together.
+        above = tree.path(base)[1]
+        return tree.lookup(above, base, stamp).inverse().compose(tree.lookup(above, message.frame, stamp))
+
+    def send_poses(self) -> None:
+        """Send what can be told by now."""
+        for followed in self._followed.values():
+            for stamp, pose in followed.poses.take():
+                try:
+                    followed.robot.send_pose(stamp, pose)
+                except BadMessage as error:
+                    self._account.dropped(f"{followed.robot.name}/pose", "malformed", str(error))
+
+    def _frames_of(self, sensor: str) -> RobotFrames:
+        """The frames of the robot of a sensor; of a sensor that is not in tf, those of its base by name."""
+        names = {"map_frame": self._options.map_frame, "odom_frame": self._options.odom_frame}
+        try:
+            return robot_frames(self._tree, sensor, **names)
+        except NoTransformYet:
+            prefix = prefix_of(sensor)
+            for base in (f"{prefix}/{base}".lstrip("/") for base in BASES):
+                if self._tree.edge(sensor) is None and self._tree.edge(base) is not None:
+                    return robot_frames(self._tree, base, **names)
+            raise
+
+    def _follow(self, prefix: str, frames: RobotFrames, now: float) -> _Followed:
+        if frames.odometry and now - self._mapless.setdefault(prefix, now) < MAP_WAIT:
+            text = f"tf leads up to {frames.fixed} only; {self._options.map_frame} is waited for"
+            raise NoTransformYet(text, "no map")
+        key = RobotKey(self._where, self._namespace, prefix)
+        name = robot_name(self._namespace, prefix, self._otherwise)
+        robot = self._robots.take_on(key, name, frames.fixed, odometry=frames.odometry)
+        followed = self._followed[prefix] = _Followed(robot, frames, BasePoses(self._tree, frames))
+        return followed
+
+    def _base_of(self, robot: MappedRobot) -> str:
+        for followed in self._followed.values():
+            if followed.robot is robot:
+                return followed.frames.base
+        raise NoTransform(f"{robot.name} is no robot of this tf", "no robot")

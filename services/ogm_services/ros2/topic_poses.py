@@ -1,0 +1,85 @@
+"""Poses from a topic: what a localisation says of one robot, without tf."""
+
+from ogm_core.errors import BadMessage, NoTransform, NoTransformYet, ScanRefused
+from ogm_core.ros2.cdr import POSES, LaserScan, PointCloud2, StampedPose
+from ogm_core.ros2.robot_names import robot_name, sensor_name
+from ogm_core.ros2.topics import Topic
+from ogm_core.ros2.transform import Transform, level, unit
+from ogm_services.ros2.account import Account
+from ogm_services.ros2.mapped_robot import MappedRobot
+from ogm_services.ros2.options import Ros2Options
+from ogm_services.ros2.pose_source import Mounted
+from ogm_services.ros2.robots import RobotKey, Robots
+from ogm_services.ros2.sensor_feed import SensorFeed
+
+
+class TopicPoses:
+    """The robot of one source and namespace, whose poses a topic tells."""
+
+    def __init__(
+        self,
+        where: str,
+        namespace: str,
+        otherwise: str,
+        robots: Robots,
+        account: Account,
+        options: Ros2Options,
+    ) -> None:
+        self._where, self._namespace = where, namespace
+        self._name = robot_name(namespace, "", otherwise)
+        self._robots, self._account, self._options = robots, account, options
+        self._robot: MappedRobot | None = None
+        self._fixed = ""
+        self._told_by: str | None = None
+
+    def add(self, payload: bytes, topic: Topic) -> None:
+        """Take in a pose.
+
+        Raises:
+            BadCdr: it is none.
+        """
+        pose = POSES[topic.type](payload)
+        if self._told_by not in (None, topic.name):
+            text = f"poses come from {self._told_by} already: give --pose-topic the name of one of the two"
+            self._account.dropped(topic.name, "refused", text)
+            return
+        self._told_by = topic.name
+        try:
+            self._send(pose)
+        except BadMessage as error:
+            self._account.dropped(topic.name, "malformed", str(error))
+        except ScanRefused as error:
+            self._account.dropped(topic.name, error.slug, str(error), error.kind)
+
+    def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
+        """Whose sensor a message is of."""
+        if not self._fixed:
+            raise NoTransformYet(f"no pose has come yet on {', '.join(self._options.pose_topics)}", "no pose")
+        if self._robot is None:
+            self._robot = self._take_on()
+        return Mounted(self._robot, sensor_name(feed.topic.name, self._namespace, self._name))
+
+    def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
+        """Where the sensor is on its robot."""
+        if self._options.mount is None:
+            raise NoTransform(
+                f"nothing says where the sensor is on the robot: --mount X,Y,THETA, or --sensor "
+                f"'{mounted.robot.name}/{mounted.sensor}:mount=X,Y,THETA'",
+                "no mount",
+            )
+        return level(self._options.mount)
+
+    def send_poses(self) -> None:
+        """Nothing: they are sent as they come."""
+
+    def _send(self, pose: StampedPose) -> None:
+        if pose.frame != self._fixed:
+            self._fixed, self._robot = pose.frame, None
+        if self._robot is None:
+            self._robot = self._take_on()
+        self._robot.send_pose(pose.stamp, unit(pose.transform).planar())
+
+    def _take_on(self) -> MappedRobot:
+        odometry = self._fixed.rpartition("/")[2] == self._options.odom_frame
+        key = RobotKey(self._where, self._namespace, "")
+        return self._robots.take_on(key, self._name, self._fixed, odometry=odometry)

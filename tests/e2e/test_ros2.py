@@ -1,0 +1,74 @@
+"""`ogm ros2` as a process beside a mapper: it lists, maps, outlives the mapper and ends at Ctrl-C."""
+
+import json
+import math
+import signal
+import threading
+
+import pytest
+
+import naive_cdr
+from ogm_client.session import NetworkConfig, open_session
+from ros2_robots import RmwZenohRobot
+
+MS = 10**6
+
+
+@pytest.fixture
+def robot(listener, endpoint):
+    """A robot behind the router at `endpoint`, which drives till its end."""
+    with open_session(NetworkConfig(connect=(endpoint,))) as session:
+        node = RmwZenohRobot(session, namespace="/cart")
+        static = node.publisher("/cart/tf_static", "TFMessage", latched=True)
+        static(naive_cdr.tf_message([(0, "base_link", "laser", (0.0, 0, 0, 0, 0, 0, 1))]))
+        tf, scan = node.publisher("/cart/tf", "TFMessage"), node.publisher("/cart/scan", "LaserScan")
+        ending = threading.Event()
+
+        def drive():
+            n = 0
+            while not ending.wait(0.02):
+                n += 1
+                turned = (0.0, 0.0, 0.0, 0.0, 0.0, math.sin(n / 200), math.cos(n / 200))
+                still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+                edges = [(n * 20 * MS, "map", "odom", still), (n * 20 * MS, "odom", "base_link", turned)]
+                tf(naive_cdr.tf_message(edges))
+                numbers = (-1.0, 1.0, 0.02, 0.0, 0.1, 0.1, 10.0)
+                scan(naive_cdr.laser_scan(n * 20 * MS - 10 * MS, "laser", numbers, [2.0] * 101))
+
+        driving = threading.Thread(target=drive)
+        driving.start()
+        yield node
+        ending.set()
+        driving.join()
+
+
+def test_a_robot_is_mapped_and_outlives_the_mapper(ogm, robot, endpoint, eventually):
+    mapper = ogm.ready(ogm.mapper())
+    feed = ogm.start("ros2", "--zenoh", endpoint, "--connect", mapper.endpoint)
+
+    def integrated(mapper):
+        return mapper.status()["scans"]["integrated"]
+
+    eventually(lambda: integrated(mapper) > 20)
+    status = mapper.status()
+    assert status["robots"]["cart"]["sources"].keys() == {"scan"}
+    assert status["scans"]["dropped"]["no_pose"] == 0
+    mapper.command.stop(signal.SIGKILL)
+    again = ogm.ready(ogm.start("mapper", "--http-port", "0", "--listen", mapper.endpoint))
+    eventually(lambda: integrated(again) > 20)
+    ended = feed.stop(signal.SIGINT)
+    assert (ended.code, ended.out, ended.warnings) == (0, "", "")
+    assert f"looking for robots: rmw_zenoh at {endpoint}, domain 0" in ended.err
+    assert "cart/scan: " in ended.err
+    assert " sent" in ended.err
+
+
+def test_topics_are_listed(ogm, robot, endpoint):
+    ended = ogm.run("ros2", "--list", "--json", "--zenoh", endpoint)
+    assert ended.code == 0, ended
+    listed = {topic["topic"]: topic for topic in json.loads(ended.out)}
+    assert listed.keys() == {"/cart/tf_static", "/cart/tf", "/cart/scan"}
+    scan = listed["/cart/scan"]
+    assert (scan["source"], scan["domain"], scan["node"]) == ("rmw_zenoh", 0, "/cart/driver")
+    assert scan["type"] == "sensor_msgs/msg/LaserScan"
+    assert scan["qos"] == {"reliable": False, "transient_local": False, "depth": 5}
