@@ -58,6 +58,11 @@ class ZenohTransport:
         """The bytes of one of NAMES."""
         return self._fetch(name, parameters, self._deadline())
 
+    def fetch_described(self, name: str, parameters: Parameters) -> tuple[bytes, Mapping[str, object]]:
+        """The bytes of one of NAMES that shows the map, and what the mapper says of it, unchecked."""
+        sample = self._get("map", {"format": name.removeprefix("map."), **parameters}, self._deadline())
+        return _content(name, sample.payload, self._limits.bytes_of(name)), _attachment(sample)
+
     def fetch_map(self, parameters: Parameters) -> MapReply:
         """map.npz with its version."""
         return self._fetch_map(parameters, self._deadline())

@@ -72,3 +72,12 @@ def test_topics_are_listed(ogm, robot, endpoint):
     assert (scan["source"], scan["domain"], scan["node"]) == ("rmw_zenoh", 0, "/cart/driver")
     assert scan["type"] == "sensor_msgs/msg/LaserScan"
     assert scan["qos"] == {"reliable": False, "transient_local": False, "depth": 5}
+
+
+def test_a_map_is_not_published_on_another_nodes_topic(ogm, robot, endpoint):
+    robot.publisher("/map", "OccupancyGrid", latched=True)
+    ended = ogm.run("ros2", "--zenoh", endpoint, "--connect", endpoint, "--publish-map", "/map")
+    assert ended.complaint(2) == (
+        f"ogm: /map: /cart/driver publishes it already (rmw_zenoh at {endpoint}, domain 0), as who gives map "
+        "-> odom usually does; publish on another topic, such as /ogm/map\n"
+    )

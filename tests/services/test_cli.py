@@ -42,8 +42,8 @@ FLAGS = {
         for write in ("save", "restore", "delete")
     },
     "ros2": "--list --json --dds --interface --zenoh --domain --scan-topic --cloud-topic --z-band --bins "
-    "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --robot --sensor --config "
-    f"{NETWORK_FLAGS} {SERVICE_FLAGS}",
+    "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --publish-map "
+    f"--publish-probabilities --robot --sensor --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
 }
 
 
@@ -175,6 +175,11 @@ def one_line(result, code):
         ("ros2 --dds --tf-hold -1", "--tf-hold: 0 to 60 s are needed, got -1"),
         ("ros2 --dds --scan-delay nan", "--scan-delay: -10 to 10 s, got nan"),
         ("ros2 --dds --sensor r/s:range_max=3", "sensors.range_max: that is for the mapper"),
+        (
+            "ros2 --dds --publish-map map",
+            "--publish-map: a topic's full name such as /ogm/map is needed, got 'map'",
+        ),
+        ("ros2 --dds --publish-map /a --publish-probabilities /a", "two topics are needed"),
         ("ros2 --dds --robot r:origin=1", "robots.origin: three finite numbers X,Y,THETA"),
         ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
         ("replay x.log --speed 0", "--speed"),

@@ -14,13 +14,15 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadInput, BadSetting
 from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.ros2.topics import MAX_DOMAIN, Topic
+from ogm_core.ros2.topics import MAX_DOMAIN, Topic, check_topic
 from ogm_core.wire.addresses import masked
 from ogm_services.ros2.account import Account
 from ogm_services.ros2.bridge import BridgeSource
 from ogm_services.ros2.dds import DdsSource
 from ogm_services.ros2.dds_config import chosen_interface
 from ogm_services.ros2.gateway import Gateway, NamedSource
+from ogm_services.ros2.map_fetch import MapFetch
+from ogm_services.ros2.map_publisher import MapPublisher
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
@@ -108,11 +110,32 @@ def list_topics(networks: Networks, *, as_json: bool) -> None:
     print_topics(topics, [source.where for source, _ in sources])
 
 
-def run_ros2(networks: Networks, options: Ros2Options, settings: Settings) -> None:
-    """Send robots' poses and scans to a mapper, until KeyboardInterrupt.
+@dataclass(frozen=True, slots=True)
+class Published:
+    """The topics that the map is published on: of free, occupied and unknown cells, and of probabilities."""
+
+    trinary: str | None = None
+    probabilities: str | None = None
+
+    def __post_init__(self) -> None:
+        for flag, name in {
+            "--publish-map": self.trinary,
+            "--publish-probabilities": self.probabilities,
+        }.items():
+            if name is not None:
+                check_topic(name, flag)
+        if self.trinary is not None and self.trinary == self.probabilities:
+            raise BadSetting("--publish-map, --publish-probabilities: two topics are needed")
+
+
+def run_ros2(
+    networks: Networks, options: Ros2Options, settings: Settings, published: Published = Published()
+) -> None:
+    """Send robots' poses and scans to a mapper, and its map to them if asked to, until KeyboardInterrupt.
 
     Raises:
         BadSetting, MissingExtra, CannotConnect: a network cannot be joined.
+        TopicTaken: the map cannot be published there.
     """
     network, account = settings.network, Account(LimitedLog(log))
     with ExitStack() as opening:
@@ -129,7 +152,16 @@ def run_ros2(networks: Networks, options: Ros2Options, settings: Settings) -> No
         gateway = Gateway(sources, robots, account, options, rules, settings.mapper.pose_gap)
         opening.callback(gateway.close)
         opening.callback(_tell, account)
-        gateway.run()
+        if published == Published():
+            gateway.run()
+        publisher_of_map = MapPublisher(
+            [source for source, _ in sources],
+            MapFetch(session, network.map_name, options.map_frame),
+            trinary=published.trinary,
+            probabilities=published.probabilities,
+        )
+        opening.callback(publisher_of_map.close)
+        gateway.run(publisher_of_map.check)
 
 
 def check_sensors(texts: list[str] | None) -> None:

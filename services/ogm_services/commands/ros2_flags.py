@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ogm_services.ros2.options import Ros2Options
 
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
-_ROBOTS, _TOPICS = "Robots", "Topics"
+_ROBOTS, _TOPICS, _PUBLISHED = "Robots", "Topics", "Map for robots"
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,33 @@ class TopicFlags:
         )
 
 
+@dataclass(frozen=True)
+class PublishFlags:
+    """Flags of what robots are told; nothing, unless asked."""
+
+    publish_map: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Publish the map as an OccupancyGrid, as on /ogm/map, and its changes on TOPIC_updates.",
+            rich_help_panel=_PUBLISHED,
+        ),
+    ] = None
+    publish_probabilities: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Publish how likely each cell is occupied, 0 to 100, likewise.",
+            rich_help_panel=_PUBLISHED,
+        ),
+    ] = None
+
+
 @with_flag_groups
 def ros2(
     where: WhereFlags,
     topics: TopicFlags,
+    publish: PublishFlags,
     network: NetworkFlags,
     logging: LoggingFlags,
     config: ConfigFile = None,
@@ -192,13 +215,14 @@ def ros2(
         raise BadInput("--json: it goes with --list")
     with logged_service(*settings.log.as_given):
         with loading():
-            from ogm_services.commands.ros2 import check_sensors, list_topics, run_ros2
+            from ogm_services.commands.ros2 import Published, check_sensors, list_topics, run_ros2
         networks = where.networks()
         if listed:
             list_topics(networks, as_json=as_json)
         else:
             check_sensors(sensor)
-            run_ros2(networks, topics.options(), settings)
+            published = Published(publish.publish_map, publish.publish_probabilities)
+            run_ros2(networks, topics.options(), settings, published)
 
 
 def _domains(text: str | None) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 import functools
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from ogm_core.errors import BadCdr, BadMessage, NoTransformYet, ScanRefused
@@ -65,10 +65,11 @@ class Gateway:
         self._feeds: dict[tuple[int, str, str], SensorFeed] = {}
         self._next_look = 0.0
 
-    def run(self) -> None:
-        """Work until an exception, as KeyboardInterrupt is, ends it."""
+    def run(self, check: Callable[[], None] = lambda: None) -> None:
+        """Work until an exception ends it, as KeyboardInterrupt, or one of `check`, which is called often."""
         while True:
             self.step(IDLE)
+            check()
 
     def step(self, timeout: float) -> bool:
         """Look for topics if that is due, and handle the next message; False if none comes in time, s."""
