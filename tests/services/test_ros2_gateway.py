@@ -38,12 +38,13 @@ class Sent:
     """What a mapper would have received, by robot."""
 
     def __init__(self, session):
-        self.poses, self.scans = {}, {}
+        self.poses, self.scans, self.order = {}, {}, []
         session.declare_subscriber(KEYS.robots, self._take)
 
     def _take(self, sample):
         source = KEYS.source_of(str(sample.key_expr))
         payload = sample.payload.to_bytes()
+        self.order.append(source.sensor or "pose")
         if source.sensor is None:
             self.poses.setdefault(source.robot, []).append(decode_pose(payload))
         else:
@@ -123,14 +124,14 @@ class Driver:
     def frame(self, name):
         return f"{self.frames}{name}"
 
-    def drive(self, n):
-        """The n-th step: transforms, and the scan of 50 ms before them."""
+    def drive(self, n, *, scan=True):
+        """The n-th step: transforms, and the scan of 50 ms before them; none at the first."""
         stamp = n * 100 * MS
         edges = [(stamp, self.frame("odom"), self.frame("base_link"), planar(self.x(stamp), 0.0, 0.0))]
         if self.map_frame:
             edges.insert(0, (stamp, "map", self.frame("odom"), planar(0.0, self.start, 0.0)))
         self.tf(naive_cdr.tf_message(edges))
-        if n:
+        if n and scan:
             numbers = (-0.5, 0.5, 0.5, 0.0, 0.1, 0.1, 10.0)
             self.scan(naive_cdr.laser_scan(stamp - 50 * MS, self.frame("laser"), numbers, RANGES))
 
@@ -162,6 +163,18 @@ def test_one_robot_scan_for_scan(gateway, network):
     assert first.mount == pytest.approx(Pose(0.2, 0.0, 0.5))
     assert first.ranges.tolist() == RANGES
     assert found.counts == {"domain0/scan": {"sent": 9}}
+
+
+def test_a_lidar_that_is_late_does_not_have_its_scans_before_the_poses(gateway, network):
+    """A mapper waits for no pose that is much older than a scan."""
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    for n in range(50):
+        driver.drive(n, scan=False)
+    driver.drive(50)
+    found.until(lambda: len(found.sent.order) == 52)
+    assert found.sent.order.index("scan") >= 50
 
 
 def test_three_robots_with_namespaces_are_not_mixed(gateway, network):

@@ -198,6 +198,7 @@ class Gateway:
         self, poses: PoseSource, feed: SensorFeed, message: cdr.LaserScan | cdr.PointCloud2, now: float
     ) -> None:
         mounted = poses.owner(feed, message, now)
+        poses.send_poses()  # a robot's first scan tells whose they are: a mapper wants the older ones first
         robot, sensor = mounted
         source = f"{robot.name}/{sensor}"
         rule = self._rules.rule_of(source)
