@@ -172,6 +172,8 @@ def test_a_lidar_that_is_late_does_not_have_its_scans_before_the_poses(gateway, 
     found.until(all_heard(driver))
     for n in range(50):
         driver.drive(n, scan=False)
+    (tf,) = found.work._poses.values()
+    found.until(lambda: tf._tree.edge("base_link").newest == 49 * 100 * MS)
     driver.drive(50)
     found.until(lambda: len(found.sent.order) == 52)
     assert found.sent.order.index("scan") >= 50
