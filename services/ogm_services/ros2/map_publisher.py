@@ -45,7 +45,8 @@ class MapTopic:
     """A map on one topic of all sources, and what has changed of it on another, NAME_updates.
 
     An update is of the last map that was sent whole, so that who has that one and any later update has the
-    map of then. The last message of each is kept for those who come later.
+    map of then. The last message of each is kept for those who come later: after a whole map an update of
+    its first cell alone takes the place of the last one.
     """
 
     def __init__(self, name: str, sources: Iterable[TopicSource]) -> None:
@@ -78,8 +79,12 @@ class MapTopic:
                 self._update = update
                 _put(self._updates, encode_occupancy_grid_update(update))
                 return
+        outdated = self._update is not None
         self._last, self._sent, self._update = grid, now, None
         _put(self._whole, encode_occupancy_grid(grid))
+        if outdated:  # else who comes later would be given it after this map
+            first = OccupancyGridUpdate(grid.stamp, grid.frame, 0, 0, grid.data[:1, :1])
+            _put(self._updates, encode_occupancy_grid_update(first))
 
     def look(self) -> None:
         """Serve those who have come since."""
