@@ -73,9 +73,10 @@ class MapTopic:
             grid = replace(last, data=np.full_like(last.data, UNKNOWN))
         if last is not None and same_extents(last, grid):
             update = update_of(last, grid)
-            if self._tells(update) or (update is None and self._update is None):
+            due = self.whole_is_due(now)
+            if (self._tells(update) and not due) or (update is None and self._update is None):
                 return
-            if update is not None and not self.whole_is_due(now) and 2 * update.data.size < grid.data.size:
+            if update is not None and not due and 2 * update.data.size < grid.data.size:
                 self._update = update
                 _put(self._updates, encode_occupancy_grid_update(update))
                 return
