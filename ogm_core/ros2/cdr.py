@@ -260,6 +260,15 @@ def encode_occupancy_grid_update(update: OccupancyGridUpdate) -> bytes:
     return _encoded(message, OCCUPANCY_GRID_UPDATE, update.data)
 
 
+def check_installed() -> None:
+    """Find out, before the first message, whether messages can be read.
+
+    Raises:
+        MissingExtra: they cannot.
+    """
+    _rosbags()
+
+
 def field_definitions(name: str) -> list[tuple[str, tuple[str, Any]]]:
     """The fields of a message type: name, and (kind, what).
 

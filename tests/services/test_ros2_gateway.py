@@ -2,6 +2,7 @@
 
 import logging
 import math
+import struct
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +11,8 @@ import naive_cdr
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.placing.sensor_rules import SensorRule, SensorRules
+from ogm_core.ros2.point_cloud import Flattening
+from ogm_core.ros2.topics import Topic
 from ogm_core.types import Pose
 from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.messages import decode_pose, decode_scan
@@ -20,6 +23,7 @@ from ogm_services.ros2.gateway import Gateway, NamedSource
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
+from ogm_services.ros2.topic_reading import TopicReading
 from ogm_services.runtime.limited_log import LimitedLog
 from ogm_services.settings.robots import RobotSettings
 from ros2_robots import BridgeRobot, RmwZenohRobot
@@ -434,3 +438,76 @@ def test_a_name_that_two_robots_have_is_the_firsts(gateway, network, caplog):
     found.until(lambda: found.counts.get("/r/scan", {}).get("refused"))
     found.until(lambda: len(found.sent.scans.get("r/scan", ())) == 1)
     assert "its name is that of the robot of" in caplog.text
+
+
+def test_clouds_become_scans(gateway, network):
+    robot = RmwZenohRobot(network())
+    driver = Driver(robot)
+    cloud = robot.publisher("/points", "PointCloud2")
+    options = Ros2Options(
+        cloud_topics=("/points",), flattening=Flattening(0.25, 1.0, 4), scan_topics=("/none",)
+    )
+    found = gateway(options=options)
+    found.until(lambda: driver.tf.matching() and cloud.matching())
+    assert not driver.scan.matching()
+    driver.drive(0)
+    # The laser is 0.3 m high, turned by 0.5 rad: ahead of it, and below the band.
+    points = struct.pack("<ffffff", 2.0 * math.cos(0.5), -2.0 * math.sin(0.5), 0.0, 1.0, 0.0, -0.2)
+    named = [(name, 4 * k, 7) for k, name in enumerate("xyz")]
+    cloud(naive_cdr.point_cloud2(50 * MS, "laser", (1, 2), named, (12, 24), points))
+    driver.drive(1)
+    found.until(lambda: found.sent.scans.get("domain0/points"))
+    (scan,) = found.sent.scans["domain0/points"]
+    assert scan.ranges.tolist() == pytest.approx([math.nan, math.nan, 2.0, math.nan], nan_ok=True)
+    assert scan.mount == pytest.approx(Pose(0.2, 0.0, 0.0))
+
+
+class Silent:
+    """A source whose subscriptions are noted."""
+
+    form, domain, where = "rmw_zenoh", 0, "here"
+
+    def __init__(self):
+        self.taking, self.closed = [], 0
+
+    def subscribe(self, topic, take):
+        self.taking.append(take)
+        return SimpleNamespace(close=lambda: setattr(self, "closed", self.closed + 1))
+
+
+def test_a_topic_of_which_nothing_comes_is_subscribed_to_anew(caplog):
+    source, got = Silent(), []
+    reading = TopicReading(source, Topic("rmw_zenoh", "/tf", "tf2_msgs/msg/TFMessage"), got.append, 100.0)
+    for now, declared in ((109.9, 1), (110.0, 2), (129.9, 2), (130.0, 3)):
+        reading.look(now)
+        assert (len(source.taking), source.closed) == (declared, declared - 1)
+    assert "/tf of here: it is published, and nothing has come for 20 s; subscribing anew" in caplog.text
+    source.taking[-1](b"x")
+    reading.look(1e6)
+    assert (len(source.taking), got) == (3, [b"x"])
+
+
+def test_without_any_scan_it_is_said_once(gateway, network, monkeypatch, caplog):
+    monkeypatch.setattr("ogm_services.ros2.gateway.NO_SCANS", 0.01)
+    found = gateway()
+    found.until(lambda: "no LaserScan to read has been found yet (rmw_zenoh here, domain 0)" in caplog.text)
+    for _ in range(3):
+        found.work.look()
+    assert caplog.text.count("no LaserScan") == 1
+
+
+def test_a_loop_of_frames_is_told_and_what_comes_after_it_is_mapped(gateway, network, monkeypatch, caplog):
+    monkeypatch.setattr(tf_poses, "MAP_WAIT", 0.0)
+    driver = Driver(RmwZenohRobot(network()), map_frame=False)
+    found = gateway()
+    found.until(all_heard(driver))
+    driver.drive(0)
+    driver.drive(1)
+    found.until(lambda: len(found.sent.scans.get("domain0/scan", ())) == 1)
+    driver.tf(naive_cdr.tf_message([(150 * MS, "laser", "odom", planar(0.0, 0.0, 0.0))]))
+    driver.drive(2)
+    found.until(lambda: found.counts.get("/scan", {}).get("no_pose") == 1)
+    assert "tf goes round in a loop: laser -> base_link -> odom -> laser" in caplog.text
+    driver.map_frame = True  # which gives odom another parent
+    driver.drive(3)
+    found.until(lambda: len(found.sent.scans["domain0/scan"]) == 2)

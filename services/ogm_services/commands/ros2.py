@@ -14,6 +14,7 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import BadInput, BadSetting
 from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.ros2.cdr import check_installed
 from ogm_core.ros2.topics import MAX_DOMAIN, Topic, check_topic
 from ogm_core.wire.addresses import masked
 from ogm_services.ros2.account import Account
@@ -137,6 +138,7 @@ def run_ros2(
         BadSetting, MissingExtra, CannotConnect: a network cannot be joined.
         TopicTaken: the map cannot be published there.
     """
+    check_installed()
     network, account = settings.network, Account(LimitedLog(log))
     with ExitStack() as opening:
         sources = opening.enter_context(open_sources(networks))

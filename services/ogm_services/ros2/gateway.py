@@ -2,6 +2,7 @@
 
 import functools
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -20,13 +21,20 @@ from ogm_services.ros2.robots import Robots
 from ogm_services.ros2.sensor_feed import MAX_WAITING, SensorFeed, Waiting
 from ogm_services.ros2.tf_poses import TfPoses
 from ogm_services.ros2.topic_poses import TopicPoses
-from ogm_services.ros2.topic_source import Closing, TopicSource
+from ogm_services.ros2.topic_reading import TopicReading
+from ogm_services.ros2.topic_source import TopicSource
 
 LOOK_EVERY = 0.5
 """How often topics are looked for, s."""
 PATIENCE = 5.0
 """So long a scan waits for transforms that are missing, s."""
 IDLE = 0.1
+NO_SCANS = 10.0
+"""When it is said that there are no scans at all, s."""
+_NO_SCANS = (
+    "no LaserScan to read has been found yet (%s): `ogm ros2 --list` shows what there is; is the domain "
+    "right, and does a driver run?"
+)
 
 log = logging.getLogger(__name__)
 
@@ -59,11 +67,12 @@ class Gateway:
         self._robots, self._account, self._options, self._rules = robots, account, options, rules
         self._pose_gap = pose_gap
         self._inbox = Inbox()
-        self._subscriptions: dict[tuple[int, str, str], Closing] = {}
+        self._readings: dict[tuple[int, str, str], TopicReading] = {}
         self._seen: set[tuple[int, str, str]] = set()
         self._poses: dict[tuple[int, str], TfPoses | TopicPoses] = {}
         self._feeds: dict[tuple[int, str, str], SensorFeed] = {}
         self._next_look = 0.0
+        self._no_scans_at = time.monotonic() + NO_SCANS
 
     def run(self, check: Callable[[], None] = lambda: None) -> None:
         """Work until an exception ends it, as KeyboardInterrupt, or one of `check`, which is called often."""
@@ -87,24 +96,29 @@ class Gateway:
         return True
 
     def look(self) -> None:
-        """Subscribe to what has come; tell what was refused."""
+        """Subscribe to what has come; tell what was refused, or is missing."""
+        now = time.monotonic()
         for number, (source, _) in enumerate(self._sources):
             publishers = [topic for topic in source.topics() if topic.publisher]
             for topic in sorted(publishers, key=lambda each: not each.qos.transient_local):
-                self._found(number, topic)
+                self._found(number, topic, now)
+        if not self._feeds and now >= self._no_scans_at:
+            self._no_scans_at = math.inf
+            log.warning(_NO_SCANS, ", ".join(source.where for source, _ in self._sources))
         for topic_name, count in self._inbox.refused().items():
             for _ in range(count):
                 self._account.dropped(topic_name, "overload", "messages come faster than they can be handled")
 
     def close(self) -> None:
         """Read no more."""
-        for subscription in self._subscriptions.values():
-            subscription.close()
-        self._subscriptions.clear()
+        for reading in self._readings.values():
+            reading.close()
+        self._readings.clear()
 
-    def _found(self, number: int, topic: Topic) -> None:
+    def _found(self, number: int, topic: Topic, now: float) -> None:
         key = number, topic.name, topic.type
-        if key in self._subscriptions:
+        if key in self._readings:
+            self._readings[key].look(now)
             return
         poses = topic.type in cdr.POSES and matches(topic.name, self._options.pose_topics)
         transforms = topic.type == cdr.TF_MESSAGE and topic.last in (TF, TF_STATIC)
@@ -138,8 +152,7 @@ class Gateway:
             self._inbox.put(Message(payload, handle, topic.name), always=always)
 
         source = self._sources[key[0]].source
-        self._subscriptions[key] = source.subscribe(topic, take)
-        log.info("reading %s (%s) of %s", topic.name, topic.type, source.where)
+        self._readings[key] = TopicReading(source, topic, take, time.monotonic())
 
     def _poses_in(self, number: int, namespace: str) -> TfPoses | TopicPoses:
         poses = self._poses.get((number, namespace))

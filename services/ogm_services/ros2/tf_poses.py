@@ -80,12 +80,23 @@ class TfPoses:
 
     def send_poses(self) -> None:
         """Send what can be told by now."""
-        for followed in self._followed.values():
+        for prefix, followed in list(self._followed.items()):
+            if followed.frames.odometry and self._has_a_map(followed):
+                del self._followed[prefix]  # its next scan tells anew where its poses are
+                continue
             for stamp, pose in followed.poses.take():
                 try:
                     followed.robot.send_pose(stamp, pose)
                 except BadMessage as error:
                     self._account.dropped(f"{followed.robot.name}/pose", "malformed", str(error))
+
+    def _has_a_map(self, followed: _Followed) -> bool:
+        """Whether tf leads further up by now than to a robot's odometry."""
+        names = {"map_frame": self._options.map_frame, "odom_frame": self._options.odom_frame}
+        try:
+            return not robot_frames(self._tree, followed.frames.base, **names).odometry
+        except NoTransform:  # what was known of it is no more
+            return False
 
     def _frames_of(self, sensor: str) -> RobotFrames:
         """The frames of the robot of a sensor; of a sensor that is not in tf, those of its base by name."""
