@@ -21,6 +21,8 @@ PACKAGES = {
     "Odometry": "nav_msgs",
     "OccupancyGrid": "nav_msgs",
 }
+BLOCK = {"congestion_control": zenoh.CongestionControl.BLOCK}
+"""So that none is lost on a busy machine."""
 KEEPS = {"cache": ext.CacheConfig(max_samples=1), "publisher_detection": True}
 HEARTBEAT = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5)
 
@@ -65,7 +67,7 @@ class RmwZenohRobot:
         number = xxhash.xxh3_128_intdigest(token.encode())
         gid = struct.pack("<QQ", number & (2**64 - 1), number >> 64)
         options = {**KEEPS, "sample_miss_detection": HEARTBEAT} if latched else {}
-        publisher = ext.declare_advanced_publisher(self.session, key, **options)
+        publisher = ext.declare_advanced_publisher(self.session, key, **BLOCK, **options)
         self.publishers.append(publisher)
         seq = 0
 
@@ -117,7 +119,7 @@ class BridgeRobot:
         options = {"cache": ext.CacheConfig(max_samples=10), "publisher_detection": True} if latched else {}
         if latched:
             options["sample_miss_detection"] = HEARTBEAT
-        publisher = ext.declare_advanced_publisher(self.session, key, **options)
+        publisher = ext.declare_advanced_publisher(self.session, key, **BLOCK, **options)
         self.publishers.append(publisher)
 
         def put_payload(payload):

@@ -12,7 +12,7 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.placing.sensor_rules import SensorRule, SensorRules
 from ogm_core.ros2.point_cloud import Flattening
-from ogm_core.ros2.topics import Topic
+from ogm_core.ros2.topics import Qos, Topic
 from ogm_core.types import Pose
 from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.messages import decode_pose, decode_scan
@@ -20,6 +20,7 @@ from ogm_services.ros2 import tf_poses
 from ogm_services.ros2.account import Account
 from ogm_services.ros2.bridge import BridgeSource
 from ogm_services.ros2.gateway import Gateway, NamedSource
+from ogm_services.ros2.inbox import Inbox, Message
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
@@ -143,6 +144,11 @@ class Driver:
         return self.speed * stamp / S
 
 
+def known(found, frame):
+    """Whether a frame is known at the root: transforms and scans may overtake each other."""
+    return frame in found.work._poses[0, ""]._tree.frames
+
+
 def all_heard(*drivers):
     return lambda: all(driver.scan.matching() and driver.tf.matching() for driver in drivers)
 
@@ -158,6 +164,7 @@ def test_one_robot_scan_for_scan(gateway, network):
     poses, scans = found.sent.poses["domain0"], found.sent.scans["domain0/scan"]
     assert [pose.stamp for pose in poses] == [n * 100 * MS for n in range(10)]
     assert [pose.pose for pose in poses] == [Pose(pytest.approx(n * 0.1), 7.0, 0.0) for n in range(10)]
+    assert [pose.seq for pose in poses] == list(range(10))
     assert [scan.stamp for scan in scans] == [n * 100 * MS - 50 * MS for n in range(1, 10)]
     assert [scan.seq for scan in scans] == list(range(9))
     assert len({message.run for message in (*poses, *scans)}) == 1
@@ -177,7 +184,7 @@ def test_a_lidar_that_is_late_does_not_have_its_scans_before_the_poses(gateway, 
     for n in range(50):
         driver.drive(n, scan=False)
     (tf,) = found.work._poses.values()
-    found.until(lambda: tf._tree.edge("base_link").newest == 49 * 100 * MS)
+    found.until(lambda: getattr(tf._tree.edge("base_link"), "newest", None) == 49 * 100 * MS)
     driver.drive(50)
     found.until(lambda: len(found.sent.order) == 52)
     assert found.sent.order.index("scan") >= 50
@@ -332,11 +339,14 @@ def test_a_map_that_comes_late_begins_a_new_run(gateway, network, monkeypatch):
     driver.drive(1)
     found.until(lambda: len(found.sent.scans.get("domain0/scan", ())) == 1)
     driver.map_frame = True
-    driver.drive(2)
+    driver.drive(2, scan=False)
+    found.until(lambda: known(found, "map"))
     driver.drive(3)
-    found.until(lambda: len(found.sent.scans["domain0/scan"]) == 3)
+    found.until(lambda: len(found.sent.scans["domain0/scan"]) == 2)
     found.until(lambda: found.sent.poses["domain0"][-1].stamp == 300 * MS)
-    assert found.sent.poses["domain0"][-1].pose.y == 4.0
+    placed = {pose.stamp: pose.pose.y for pose in found.sent.poses["domain0"]}
+    assert placed == {0: 0.0, 100 * MS: 0.0, 200 * MS: 4.0, 300 * MS: 4.0}
+    assert len(found.sent.poses["domain0"]) == 4  # none in the frame of before
     assert len({scan.run for scan in found.sent.scans["domain0/scan"]}) == 2
     assert found.sent.scans["domain0/scan"][-1].run == found.sent.poses["domain0"][-1].run
 
@@ -445,7 +455,10 @@ def test_clouds_become_scans(gateway, network):
     driver = Driver(robot)
     cloud = robot.publisher("/points", "PointCloud2")
     options = Ros2Options(
-        cloud_topics=("/points",), flattening=Flattening(0.25, 1.0, 4), scan_topics=("/none",)
+        scan_delay=0.025,
+        cloud_topics=("/points",),
+        flattening=Flattening(0.25, 1.0, 4),
+        scan_topics=("/none",),
     )
     found = gateway(options=options)
     found.until(lambda: driver.tf.matching() and cloud.matching())
@@ -460,6 +473,7 @@ def test_clouds_become_scans(gateway, network):
     (scan,) = found.sent.scans["domain0/points"]
     assert scan.ranges.tolist() == pytest.approx([math.nan, math.nan, 2.0, math.nan], nan_ok=True)
     assert scan.mount == pytest.approx(Pose(0.2, 0.0, 0.0))
+    assert scan.stamp == 75 * MS
 
 
 class Silent:
@@ -505,9 +519,64 @@ def test_a_loop_of_frames_is_told_and_what_comes_after_it_is_mapped(gateway, net
     driver.drive(1)
     found.until(lambda: len(found.sent.scans.get("domain0/scan", ())) == 1)
     driver.tf(naive_cdr.tf_message([(150 * MS, "laser", "odom", planar(0.0, 0.0, 0.0))]))
+    found.until(lambda: found.work._poses[0, ""]._tree.edge("odom"))
     driver.drive(2)
     found.until(lambda: found.counts.get("/scan", {}).get("no_pose") == 1)
     assert "tf goes round in a loop: laser -> base_link -> odom -> laser" in caplog.text
     driver.map_frame = True  # which gives odom another parent
-    driver.drive(3)
+    driver.drive(3, scan=False)
+    found.until(lambda: known(found, "map"))
+    driver.drive(4)
     found.until(lambda: len(found.sent.scans["domain0/scan"]) == 2)
+
+
+class Listed(Silent):
+    """A source with these topics."""
+
+    def __init__(self, *topics):
+        super().__init__()
+        self.listed, self.names = topics, []
+
+    def topics(self):
+        return self.listed
+
+    def subscribe(self, topic, take):
+        self.names.append(topic.name)
+        return super().subscribe(topic, take)
+
+
+def test_transforms_are_read_from_the_first_look_and_scans_from_the_second():
+    topics = (
+        Topic("rmw_zenoh", "/r/scan", "sensor_msgs/msg/LaserScan"),
+        Topic("rmw_zenoh", "/r/scan", "sensor_msgs/msg/LaserScan", publisher=False),
+        Topic("rmw_zenoh", "/r/tf", "tf2_msgs/msg/TFMessage"),
+        Topic("rmw_zenoh", "/r/tf_static", "tf2_msgs/msg/TFMessage", qos=Qos(transient_local=True)),
+        Topic("rmw_zenoh", "/r/odom", "nav_msgs/msg/Odometry"),
+        Topic("rmw_zenoh", "/r/other", "tf2_msgs/msg/TFMessage"),
+        Topic("rmw_zenoh", "/r/not_scans", "std_msgs/msg/String"),
+    )
+    source, account = Listed(*topics), Account(LimitedLog(logging.getLogger("test")))
+    work = Gateway([NamedSource(source, "domain0")], None, account, Ros2Options(), SensorRules(), 0.5)
+    work.look()
+    assert source.names == ["/r/tf_static", "/r/tf"]
+    work.look()
+    work.look()
+    assert source.names == ["/r/tf_static", "/r/tf", "/r/scan"]
+    work.close()
+    assert source.closed == 3
+
+
+def test_a_full_inbox_refuses_scans_and_no_transforms(monkeypatch):
+    monkeypatch.setattr("ogm_services.ros2.inbox.MAX_WAITING", 2)
+    inbox = Inbox()
+    for number in range(4):
+        inbox.put(Message(bytes([number]), print, "/scan"), always=False)
+    inbox.put(Message(b"tf", print, "/tf"), always=True)
+    assert inbox.refused() == {"/scan": 2}
+    assert inbox.refused() == {}
+    assert [inbox.get(0.0).payload for _ in range(3)] == [b"\0", b"\1", b"tf"]
+    assert inbox.get(0.0) is None
+    monkeypatch.setattr("ogm_services.ros2.inbox.MAX_WAITING_BYTES", 3)
+    for _ in range(3):
+        inbox.put(Message(b"xy", print, "/scan"), always=False)
+    assert inbox.refused() == {"/scan": 1}
