@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 import signal
 import threading
 
@@ -81,3 +82,22 @@ def test_a_map_is_not_published_on_another_nodes_topic(ogm, robot, endpoint):
         f"ogm: /map: /cart/driver publishes it already (rmw_zenoh at {endpoint}, domain 0), as who gives map "
         "-> odom usually does; publish on another topic, such as /ogm/map\n"
     )
+
+
+def test_topics_on_dds_are_listed_with_interface_and_domain(ogm):
+    pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
+    from ogm_core.ros2 import cdr
+    from ogm_services.ros2.dds import DdsSource
+
+    domain = random.randint(1, 101)
+    source = DdsSource(domain, "lo")
+    latched = source.publish_latched("/r1/tf_static", cdr.TF_MESSAGE)
+    try:
+        ended = ogm.run("ros2", "--list", "--dds", "--interface", "lo", "--domain", domain)
+    finally:
+        latched.close()
+        source.close()
+    assert ended.code == 0, ended
+    assert f"looking for robots: DDS on lo, domain {domain}" in ended.err
+    row = next(line for line in ended.out.splitlines() if "/r1/tf_static" in line)
+    assert ["dds", str(domain)] == row.split()[:2]
