@@ -580,3 +580,34 @@ def test_a_full_inbox_refuses_scans_and_no_transforms(monkeypatch):
     for _ in range(3):
         inbox.put(Message(b"xy", print, "/scan"), always=False)
     assert inbox.refused() == {"/scan": 1}
+
+
+def test_poses_of_a_topic_are_one_topics_and_need_a_mount(gateway, network, caplog):
+    robot = RmwZenohRobot(network(), namespace="/r1")
+    first, second = (robot.publisher(f"/r1/{name}", "Odometry") for name in ("odom", "ekf"))
+    scans = robot.publisher("/r1/scan", "LaserScan")
+    found = gateway(options=Ros2Options(pose_topics=("/r1/*",)))
+    found.until(lambda: first.matching() and second.matching() and scans.matching())
+    scans(naive_cdr.laser_scan(0, "laser", (-0.5, 0.5, 0.5, 0, 0.1, 0.1, 10.0), RANGES))
+    first(naive_cdr.odometry(0, "odom", "base", planar(1.0, 1.0, 0.25)))
+    found.until(lambda: found.sent.poses.get("r1"))
+    second(naive_cdr.odometry(S, "odom", "base", planar(2.0, 1.0, 0.25)))
+    first(naive_cdr.odometry(S, "odom", "base", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    found.until(lambda: found.counts.get("/r1/ekf", {}).get("refused"))
+    found.until(lambda: found.counts.get("/r1/odom", {}).get("malformed"))
+    found.until(lambda: found.counts.get("/r1/scan", {}).get("no_pose"))
+    assert "poses come from /r1/odom already" in caplog.text
+    assert "a quaternion (x, y, z, w) of length 1 is needed" in caplog.text
+    assert "--mount X,Y,THETA, or --sensor 'r1/scan:mount=X,Y,THETA'" in caplog.text
+    assert "r1: there is no map frame: its poses are odometry, in odom" in caplog.text
+    assert [pose.stamp for pose in found.sent.poses["r1"]] == [0]
+
+
+def test_more_topics_than_can_be_read_are_refused(monkeypatch):
+    monkeypatch.setattr("ogm_services.ros2.gateway.MAX_TOPICS", 1)
+    topics = [Topic("rmw_zenoh", f"/r{n}/tf", "tf2_msgs/msg/TFMessage") for n in range(3)]
+    account = Account(LimitedLog(logging.getLogger("test")))
+    source = Listed(*topics)
+    work = Gateway([NamedSource(source, "domain0")], None, account, Ros2Options(), SensorRules(), 0.5)
+    work.look()
+    assert (source.names, account.counts) == (["/r0/tf"], {"here": {"refused": 2}})

@@ -49,8 +49,7 @@ class DdsSource:
             raise BadSetting(f"{self.where}: cannot be joined: {error}") from error
         self._reading = _Reading(self._dds, self._participant)
         self._ends = [
-            (kind == "publication", self._dds.BuiltinDataReader(self._participant, topic))
-            for kind, topic in self._dds.builtin.items()
+            (kind == "publication", *self._alive_ends(topic)) for kind, topic in self._dds.builtin.items()
         ]
         self._nodes: dict[bytes, str] = {}
         self._reading.add(
@@ -60,8 +59,10 @@ class DdsSource:
     def topics(self) -> list[Topic]:
         """Publishers and subscribers that are known by now, ours apart."""
         found: dict[Topic, None] = {}
-        for publisher, reader in self._ends:
-            for end in self._alive(reader):
+        for publisher, reader, alive in self._ends:
+            for end in reader.read(_MANY, condition=alive):
+                if not hasattr(end, "topic_name"):  # of one that has gone
+                    continue
                 topic = self._topic_of(end, publisher=publisher)
                 if topic is not None and end.participant_key != self._participant.guid:
                     found[topic] = None
@@ -104,10 +105,11 @@ class DdsSource:
             policy.History.KeepLast(asked.depth),
         )
 
-    def _alive(self, reader: Any) -> list[Any]:  # noqa: ANN401 - cyclonedds' own
+    def _alive_ends(self, builtin: Any) -> tuple[Any, Any]:  # noqa: ANN401 - cyclonedds' own
+        """The reader of what DDS tells of all publishers, or subscribers, and which of that is still so."""
+        reader = self._dds.BuiltinDataReader(self._participant, builtin)
         states = self._dds.InstanceState.Alive | self._dds.ViewState.Any | self._dds.SampleState.Any
-        found: list[Any] = reader.read(_MANY, condition=self._dds.ReadCondition(reader, states))
-        return [end for end in found if hasattr(end, "topic_name")]
+        return reader, self._dds.ReadCondition(reader, states)
 
     def _topic_of(self, end: Any, *, publisher: bool) -> Topic | None:  # noqa: ANN401 - cyclonedds' own
         message_type = ros_type(end.type_name)

@@ -29,6 +29,8 @@ LOOK_EVERY = 0.5
 PATIENCE = 5.0
 """So long a scan waits for transforms that are missing, s."""
 IDLE = 0.1
+MAX_TOPICS = 4000
+"""So many are read at most."""
 NO_SCANS = 10.0
 """When it is said that there are no scans at all, s."""
 _NO_SCANS = (
@@ -152,6 +154,10 @@ class Gateway:
             self._inbox.put(Message(payload, handle, topic.name), always=always)
 
         source = self._sources[key[0]].source
+        if len(self._readings) >= MAX_TOPICS:
+            text = f"{MAX_TOPICS} topics are read already; --scan-topic chooses among those with scans"
+            self._account.dropped(source.where, "refused", text)
+            return
         self._readings[key] = TopicReading(source, topic, take, time.monotonic())
 
     def _poses_in(self, number: int, namespace: str) -> TfPoses | TopicPoses:
