@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from gateway_desk import gateways, sessions
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.service import MapperService
@@ -193,3 +194,18 @@ def cross(start_mapper):
     with start_mapper(map={"resolution": 0.5}) as mapper:
         mapper.draw_cross()
         yield mapper
+
+
+@pytest.fixture
+def network(endpoint, listener):
+    """`network()` opens a session on the network of `listener`."""
+    with sessions(endpoint) as join:
+        yield join
+
+
+@pytest.fixture
+def gateway(listener, network, eventually, monkeypatch):
+    """`gateway(...)` makes a gateway of ROS 2's robots; `until(condition)` lets it work until then."""
+    monkeypatch.setattr("ogm_services.ros2.gateway.LOOK_EVERY", 0.02)
+    with gateways(listener, network, eventually) as gateway:
+        yield gateway

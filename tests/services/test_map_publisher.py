@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ogm_client.session import NetworkConfig, open_session
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.cdr import OccupancyGrid
 from ogm_services.ros2 import map_publisher
@@ -148,24 +147,11 @@ def test_fetched_maps_are_those_of_the_mapper(mapper):
 
 
 @pytest.fixture
-def robots_network(listener, endpoint):
-    opened = []
-
-    def join():
-        opened.append(open_session(NetworkConfig(connect=(endpoint,))))
-        return opened[-1]
-
-    yield join
-    for session in opened:
-        session.close()
-
-
-@pytest.fixture
-def publisher(mapper, robots_network, monkeypatch):
+def publisher(mapper, network, monkeypatch):
     """`publisher(...)` starts one on rmw_zenoh and the bridge."""
     monkeypatch.setattr(map_publisher, "LISTEN", 0.05)
     monkeypatch.setattr(map_publisher, "PERIOD", 0.02)
-    session = robots_network()
+    session = network()
     sources = [RmwZenohSource(session, 0, "here"), BridgeSource(session, "here")]
     started = []
 
@@ -183,16 +169,10 @@ def publisher(mapper, robots_network, monkeypatch):
 
 
 @pytest.mark.parametrize("form", ["rmw_zenoh", "humble", "bridge"])
-def test_who_comes_late_has_the_map_value_for_value(
-    publisher, mapper, robots_network, eventually, read, form
-):
+def test_who_comes_late_has_the_map_value_for_value(publisher, mapper, network, eventually, read, form):
     running = publisher(trinary="/ogm/map")
     mapper.draw_cross()
-    robot = (
-        BridgeRobot(robots_network())
-        if form == "bridge"
-        else RmwZenohRobot(robots_network(), old=form == "humble")
-    )
+    robot = BridgeRobot(network()) if form == "bridge" else RmwZenohRobot(network(), old=form == "humble")
     found = []
     subscriber = robot.subscriber("/ogm/map", "OccupancyGrid", lambda sample: found.append(sample))
 
@@ -233,8 +213,8 @@ def test_a_map_that_does_not_change_is_not_fetched_again(publisher, mapper, monk
     eventually(lambda: (asked["trinary"], asked["probabilities"]) == (2, 2))
 
 
-def test_a_topic_of_another_node_is_not_taken(publisher, robots_network, eventually):
-    robot = RmwZenohRobot(robots_network(), node="slam_toolbox")
+def test_a_topic_of_another_node_is_not_taken(publisher, network, eventually):
+    robot = RmwZenohRobot(network(), node="slam_toolbox")
     robot.publisher("/map", "OccupancyGrid", latched=True)
     eventually(lambda: publisher.sources[0].topics())
     running = publisher(trinary="/map")
@@ -252,11 +232,11 @@ def test_a_topic_of_another_node_is_not_taken(publisher, robots_network, eventua
     assert [topic for topic in publisher.sources[0].topics() if topic.node == "/ogm"] == []
 
 
-def test_a_mapper_that_is_away_is_waited_for(listener, robots_network, monkeypatch, caplog, eventually):
+def test_a_mapper_that_is_away_is_waited_for(listener, network, monkeypatch, caplog, eventually):
     monkeypatch.setattr(map_publisher, "LISTEN", 0.01)
     monkeypatch.setattr(map_publisher, "PERIOD", 0.01)
     caplog.set_level(logging.INFO)
-    source = RmwZenohSource(robots_network(), 0, "here")
+    source = RmwZenohSource(network(), 0, "here")
     running = MapPublisher([source], MapFetch(listener, "hall", "map"), trinary="/m", probabilities=None)
     eventually(lambda: "no mapper" in caplog.text)
     running.check()

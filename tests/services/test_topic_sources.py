@@ -6,7 +6,7 @@ import threading
 import pytest
 
 import naive_cdr
-from ogm_client.session import NetworkConfig, open_session
+from gateway_desk import sessions
 from ogm_core.errors import BadSetting
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.topics import Qos, Topic
@@ -31,15 +31,8 @@ GRID = naive_cdr.occupancy_grid(0, "map", 0.05, (2, 3), (-1.0, -2.0), [0, 100, -
 @pytest.fixture
 def join(listener, endpoint):
     """`join()` opens a session of its own on the network."""
-    opened = []
-
-    def join():
-        opened.append(open_session(NetworkConfig(connect=(endpoint,))))
-        return opened[-1]
-
-    yield join
-    for session in opened:
-        session.close()
+    with sessions(endpoint) as join:
+        yield join
 
 
 @pytest.fixture(params=["rmw_zenoh", "humble", "bridge"])
