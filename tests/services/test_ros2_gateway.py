@@ -8,9 +8,12 @@ import pytest
 import naive_cdr
 from gateway_desk import MS, RANGES, Driver, S, all_heard, planar
 from ogm_core.placing.sensor_rules import SensorRule
+from ogm_core.ros2 import cdr
 from ogm_core.ros2.point_cloud import Flattening
+from ogm_core.ros2.topics import Topic
 from ogm_core.types import Pose
 from ogm_services.ros2.options import Ros2Options
+from ogm_services.ros2.sensor_feed import SensorFeed
 from ros2_robots import BridgeRobot, RmwZenohRobot
 
 
@@ -208,3 +211,15 @@ def test_clouds_become_scans(gateway, network):
     assert scan.ranges.tolist() == pytest.approx([math.nan, math.nan, 2.0, math.nan], nan_ok=True)
     assert scan.mount == pytest.approx(Pose(0.2, 0.0, 0.0))
     assert scan.stamp == 75 * MS
+
+
+def test_a_cloud_and_a_scan_are_taken_at_their_stamps_and_the_delay():
+    """Which is when the sensor's place on its robot is asked for."""
+    cloud = cdr.decode_point_cloud2(
+        naive_cdr.point_cloud2(50 * MS, "laser", (0, 0), [("x", 0, 7)], (4, 0), b"")
+    )
+    numbers = (-0.5, 0.5, 0.5, 0.001, 0.1, 0.1, 10.0)
+    scan = cdr.decode_laser_scan(naive_cdr.laser_scan(50 * MS, "laser", numbers, RANGES))
+    feed = SensorFeed(Topic("dds", "/points", cdr.POINT_CLOUD2), 0.025, Flattening(0.0, 1.0))
+    assert [feed.taken_at(message, None) for message in (cloud, scan)] == [75 * MS, 75 * MS]
+    assert feed.taken_at(scan, SensorRule("*", deskew="reversed")) == 77 * MS
