@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Python, with compiled kernels kept where `ogm` keeps them.
 PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)/python
 
-.PHONY: demo test check coverage format pictures page-picture variants costs bench bench-quick soak clean
+.PHONY: demo test test-ros2 check coverage format pictures page-picture variants costs bench bench-quick soak clean
 
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
@@ -15,7 +15,13 @@ demo: $(VENV)/.run
 PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) --ignore tests/ros2 $(ARGS)
+
+# What ROS 2's own programs, and others, make of what is written, and what is made of theirs: CONTRIBUTING.md.
+test-ros2: $(VENV)/.dev
+	@echo "Installing other programs into build/ros2, once: 1 GB on disk, two minutes."
+	@tests/ros2/install.sh $(BIN)/python build/ros2
+	$(BIN)/python -m pytest tests/ros2 -rs $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
 coverage: $(VENV)/.dev
