@@ -42,10 +42,10 @@ def start(environment, program, *arguments, settings=None, **options):
 class Answering:
     """A program that answers a line of JSON with a line of JSON, for as long as the `with` block runs."""
 
-    def __init__(self, environment, program):
+    def __init__(self, environment, program, *arguments, settings=None):
         wanted(environment)
         self.environment = environment
-        self._process = start(environment, program)
+        self._process = start(environment, program, *arguments, settings=settings)
 
     def __enter__(self):
         return self

@@ -50,13 +50,18 @@ def type_hash(name):
     return {each["type_name"]: each["hash_string"] for each in stated["type_hashes"]}[name]
 
 
-for line in sys.stdin:
-    asked = json.loads(line)
-    if "values" in asked:
-        answer = {"cdr": serialize_message(made(asked["type"], asked["values"])).hex()}
-    elif "cdr" in asked:
-        message = deserialize_message(bytes.fromhex(asked["cdr"]), message_class(asked["type"]))
-        answer = {"values": told(message)}
-    else:
-        answer = {"hash": type_hash(asked["type"])}
-    print(json.dumps(answer), flush=True)
+def main():
+    for line in sys.stdin:
+        asked = json.loads(line)
+        if "values" in asked:
+            answer = {"cdr": serialize_message(made(asked["type"], asked["values"])).hex()}
+        elif "cdr" in asked:
+            message = deserialize_message(bytes.fromhex(asked["cdr"]), message_class(asked["type"]))
+            answer = {"values": told(message)}
+        else:
+            answer = {"hash": type_hash(asked["type"])}
+        print(json.dumps(answer), flush=True)
+
+
+if __name__ == "__main__":
+    main()

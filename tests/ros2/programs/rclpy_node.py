@@ -1,0 +1,74 @@
+"""A node of ROS 2: a line of JSON in, a line of JSON out. Its one argument is its name, as /r1/driver.
+
+    {"publish": "/scan", "type": "sensor_msgs/msg/LaserScan", "reliable": true, "latched": false, "depth": 5}
+    {"put": "/scan", "cdr": "..."}
+    {"heard": "/scan"}                     ->   {"count": 1}       subscribers that it knows of
+    {"subscribe": "/map", "type": "nav_msgs/msg/OccupancyGrid", "reliable": true, "latched": true, "depth": 1}
+    {"take": "/map"}                       ->   {"values": [...]}  all messages so far, as rclpy gives them
+"""
+
+import json
+import sys
+import threading
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from rclpy_messages import message_class, told
+
+
+class Ends:
+    """What the node publishes and subscribes to, by topic."""
+
+    def __init__(self, node):
+        self.node, self.publishers, self.found = node, {}, {}
+
+    def publish(self, asked):
+        kind = message_class(asked["type"])
+        self.publishers[asked["publish"]] = self.node.create_publisher(kind, asked["publish"], qos(asked))
+        return {}
+
+    def put(self, asked):
+        self.publishers[asked["put"]].publish(bytes.fromhex(asked["cdr"]))
+        return {}
+
+    def heard(self, asked):
+        return {"count": self.publishers[asked["heard"]].get_subscription_count()}
+
+    def subscribe(self, asked):
+        found = self.found[asked["subscribe"]] = []
+        self.node.create_subscription(message_class(asked["type"]), asked["subscribe"], found.append, qos(asked))
+        return {}
+
+    def take(self, asked):
+        return {"values": [told(message) for message in self.found[asked["take"]]]}
+
+
+def qos(asked):
+    return QoSProfile(
+        depth=asked["depth"],
+        reliability=ReliabilityPolicy.RELIABLE if asked["reliable"] else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if asked["latched"] else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main():
+    rclpy.init()
+    namespace, _, name = sys.argv[1].rpartition("/")
+    node = Node(name, namespace=namespace or "/")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    spinning = threading.Thread(target=executor.spin)
+    spinning.start()
+    ends = Ends(node)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        print(json.dumps(getattr(ends, next(iter(asked)))(asked)), flush=True)
+    executor.shutdown()
+    spinning.join()
+    rclpy.shutdown()
+
+
+main()
