@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,23 @@ def messages(datasets):
         for connection, time, payload in bag.messages():
             if connection.topic in TOPICS:
                 yield Message(connection.topic, time, bytes(payload))
+
+
+def play(said, robot, came, eventually):
+    """Have a robot say again what moves, which it publishes already; `came`: what was received, by topic.
+
+    It goes on when the last ten have come: how much queues hold is not what is tested.
+    """
+    eventually(lambda: all(robot.ask(heard=topic)["count"] for topic in ("/scan", "/tf")))
+    sent = Counter()
+    for message in said:
+        if message.topic != "/tf_static":
+            robot.ask(put=message.topic, cdr=message.payload.hex())
+            sent[message.topic] += 1
+            if sent.total() % 10 == 0:
+                eventually(lambda: all(len(came[topic]) >= count for topic, count in sent.items()))
+    assert sent == {"/scan": SCANS, "/tf": TRANSFORMS}
+    eventually(lambda: all(len(came[topic]) >= count for topic, count in sent.items()))
 
 
 def alignment(datasets):

@@ -35,7 +35,7 @@ def start(environment, program, *arguments, settings=None, **options):
         "NODE_PATH": str(MADE / "npm" / "node_modules"),
         **(settings or {}),
     }
-    options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True} | options
+    options = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": MADE} | options
     return subprocess.Popen(command(environment, program, *arguments), env=given, **options)
 
 

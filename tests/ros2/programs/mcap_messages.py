@@ -3,9 +3,7 @@
 {"type": "nav_msgs/msg/OccupancyGrid", "definition": "...", "cdr": "..."}   ->   {"values": {...}}
 """
 
-import json
-import sys
-
+from answering import answer
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
@@ -16,8 +14,10 @@ def told(value):
     return value if isinstance(value, (str, bool, int, float)) else [told(each) for each in value]
 
 
-for number, line in enumerate(sys.stdin, 1):
-    asked = json.loads(line)
-    schema = Schema(id=number, name=asked["type"], encoding="ros2msg", data=asked["definition"].encode())
+def read(asked):
+    schema = Schema(id=1, name=asked["type"], encoding="ros2msg", data=asked["definition"].encode())
     message = DecoderFactory().decoder_for("cdr", schema)(bytes.fromhex(asked["cdr"]))
-    print(json.dumps({"values": told(message)}), flush=True)
+    return {"values": told(message)}
+
+
+answer(read)

@@ -10,6 +10,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+from answering import answer
 from rclpy.serialization import deserialize_message, serialize_message
 
 
@@ -50,18 +51,14 @@ def type_hash(name):
     return {each["type_name"]: each["hash_string"] for each in stated["type_hashes"]}[name]
 
 
-def main():
-    for line in sys.stdin:
-        asked = json.loads(line)
-        if "values" in asked:
-            answer = {"cdr": serialize_message(made(asked["type"], asked["values"])).hex()}
-        elif "cdr" in asked:
-            message = deserialize_message(bytes.fromhex(asked["cdr"]), message_class(asked["type"]))
-            answer = {"values": told(message)}
-        else:
-            answer = {"hash": type_hash(asked["type"])}
-        print(json.dumps(answer), flush=True)
+def answered(asked):
+    if "values" in asked:
+        return {"cdr": serialize_message(made(asked["type"], asked["values"])).hex()}
+    if "cdr" in asked:
+        message = deserialize_message(bytes.fromhex(asked["cdr"]), message_class(asked["type"]))
+        return {"values": told(message)}
+    return {"hash": type_hash(asked["type"])}
 
 
 if __name__ == "__main__":
-    main()
+    answer(answered)

@@ -1,21 +1,20 @@
 """A node of ROS 2: a line of JSON in, a line of JSON out. Its one argument is its name, as /r1/driver.
 
-    {"publish": "/scan", "type": "sensor_msgs/msg/LaserScan", "reliable": true, "latched": false, "depth": 5}
-    {"put": "/scan", "cdr": "..."}
-    {"heard": "/scan"}                     ->   {"count": 1}       subscribers that it knows of
-    {"subscribe": "/map", "type": "nav_msgs/msg/OccupancyGrid", "reliable": true, "latched": true, "depth": 1}
-    {"take": "/map"}                       ->   {"values": [...]}  all messages so far, as rclpy gives them
+{"publish": "/scan", "type": "sensor_msgs/msg/LaserScan", "reliable": true, "latched": false, "depth": 5}
+{"put": "/scan", "cdr": "..."}
+{"heard": "/scan"}                     ->   {"count": 1}       subscribers that it knows of
+{"subscribe": "/map", "type": "nav_msgs/msg/OccupancyGrid", "reliable": true, "latched": true, "depth": 1}
+{"take": "/map"}                       ->   {"values": [...]}  all messages so far, as rclpy gives them
 """
 
-import json
 import sys
 import threading
 
 import rclpy
+from answering import answer_by_verb
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
 from rclpy_messages import message_class, told
 
 
@@ -28,19 +27,18 @@ class Ends:
     def publish(self, asked):
         kind = message_class(asked["type"])
         self.publishers[asked["publish"]] = self.node.create_publisher(kind, asked["publish"], qos(asked))
-        return {}
 
     def put(self, asked):
         self.publishers[asked["put"]].publish(bytes.fromhex(asked["cdr"]))
-        return {}
 
     def heard(self, asked):
         return {"count": self.publishers[asked["heard"]].get_subscription_count()}
 
     def subscribe(self, asked):
         found = self.found[asked["subscribe"]] = []
-        self.node.create_subscription(message_class(asked["type"]), asked["subscribe"], found.append, qos(asked))
-        return {}
+        self.node.create_subscription(
+            message_class(asked["type"]), asked["subscribe"], found.append, qos(asked)
+        )
 
     def take(self, asked):
         return {"values": [told(message) for message in self.found[asked["take"]]]}
@@ -63,9 +61,7 @@ def main():
     spinning = threading.Thread(target=executor.spin)
     spinning.start()
     ends = Ends(node)
-    for line in sys.stdin:
-        asked = json.loads(line)
-        print(json.dumps(getattr(ends, next(iter(asked)))(asked)), flush=True)
+    answer_by_verb(ends)
     executor.shutdown()
     spinning.join()
     rclpy.shutdown()

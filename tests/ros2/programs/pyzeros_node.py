@@ -1,0 +1,78 @@
+"""A node of pyzeros, which speaks as rmw_zenoh does: a line of JSON in, a line of JSON out (rclpy_node.py).
+
+Its arguments are its name, the domain and the endpoint of the router. It knows no transient local. Messages
+to put are read, and written anew, by its own CDR: scans by `cydr`, all else by `cyclone`.
+"""
+
+import sys
+from dataclasses import dataclass, field, fields, is_dataclass
+
+import pyzeros
+import zenoh
+from answering import answer_by_verb
+from cyclonedds_idl import types
+from pyzeros.qos import QosProfile
+from pyzeros.sub import RawSub
+from ros2_pyterfaces.cyclone.all_msgs import OccupancyGrid, TransformStamped
+from ros2_pyterfaces.cyclone.idl import IdlStruct
+from ros2_pyterfaces.cydr.all_msgs import LaserScan
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs/msg/TFMessage"):
+    transforms: types.sequence[TransformStamped] = field(default_factory=list)
+
+
+KINDS = {kind.get_type_name(): kind for kind in (LaserScan, OccupancyGrid, TFMessage)}
+
+
+class Ends:
+    def __init__(self, node):
+        self.node, self.publishers, self.found = node, {}, {}
+
+    def publish(self, asked):
+        kind, topic = KINDS[asked["type"]], asked["publish"]
+        qos = QosProfile.default() if asked["reliable"] else QosProfile.sensor_data()
+        publisher = pyzeros.Pub(kind, topic, qos_profile=qos, session=self.node, scope=None)
+        self.publishers[topic] = kind, publisher
+
+    def put(self, asked):
+        kind, publisher = self.publishers[asked["put"]]
+        publisher.publish(kind.deserialize(bytes.fromhex(asked["cdr"])))
+
+    def heard(self, asked):
+        return {"count": int(self.publishers[asked["heard"]][1].zenoh_pub.matching_status.matching)}
+
+    def subscribe(self, asked):
+        kind, found = KINDS[asked["type"]], []
+        take = lambda sample: found.append(kind.deserialize(sample.payload.to_bytes()))  # noqa: E731
+        self.found[asked["subscribe"]] = (
+            found,
+            RawSub(kind, asked["subscribe"], take, session=self.node, scope=None),
+        )
+
+    def take(self, asked):
+        return {"values": [told(message) for message in self.found[asked["take"]][0]]}
+
+
+def told(value):
+    if is_dataclass(value):
+        return {each.name: told(getattr(value, each.name)) for each in fields(value)}
+    return value if isinstance(value, (str, int, float)) else list(value)
+
+
+def main():
+    name, domain, endpoint = sys.argv[1:]
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{endpoint}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    namespace, _, name = name.rpartition("/")
+    with (
+        zenoh.open(config) as session,
+        pyzeros.auto_context(name, session, namespace=namespace or "%", domain_id=int(domain)) as node,
+    ):
+        answer_by_verb(Ends(node))
+
+
+main()
