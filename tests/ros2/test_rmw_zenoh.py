@@ -107,3 +107,32 @@ def test_a_node_gets_the_map(node, source, eventually):
     assert (info["origin"]["position"]["x"], info["resolution"]) == (-1.0, float(np.float32(0.05)))
     np.testing.assert_array_equal(read["data"], data.ravel())
     latched.close()
+
+
+@pytest.mark.parametrize("node", ["sdk"], indirect=True)
+def test_others_know_who_publishes_the_map_and_how(node, source, eventually):
+    latched = source.publish_latched("/map", cdr.OCCUPANCY_GRID)
+    viewer = node("/viewer")
+    (told,) = eventually(lambda: viewer.ask(told="/map")["publishers"])
+    assert told == [
+        *("/", "ogm", cdr.OCCUPANCY_GRID, TYPE_HASHES[cdr.OCCUPANCY_GRID]),
+        *("RELIABLE", "TRANSIENT_LOCAL", 1),
+    ]
+    latched.close()
+
+
+@pytest.mark.parametrize("node", ["pyzeros"], indirect=True)
+def test_messages_are_numbered_and_say_whose_they_are(node, source, eventually):
+    latched = source.publish_latched("/map", cdr.OCCUPANCY_GRID)
+    viewer = node("/viewer")
+    viewer.ask(subscribe="/map", type=cdr.OCCUPANCY_GRID, reliable=True, latched=False, depth=1)
+    grid = cdr.encode_occupancy_grid(cdr.OccupancyGrid(1, "map", 0.05, (0.0, 0.0), np.zeros((1, 1), np.int8)))
+
+    def two_came():
+        latched.put(grid)
+        return len(viewer.ask(take="/map")["values"]) >= 2
+
+    eventually(two_came)
+    (first, ours), (second, also_ours) = viewer.ask(attached="/map")["told"][:2]
+    assert (second - first, ours, also_ours) == (1, True, True)
+    latched.close()

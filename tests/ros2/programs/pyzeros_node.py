@@ -11,8 +11,10 @@ import pyzeros
 import zenoh
 from answering import answer_by_verb
 from cyclonedds_idl import types
+from pyzeros.builtin_msgs import Attachment
 from pyzeros.qos import QosProfile
 from pyzeros.sub import RawSub
+from pyzeros.utils import rmw_zenoh_gid
 from ros2_pyterfaces.cyclone.all_msgs import OccupancyGrid, TransformStamped
 from ros2_pyterfaces.cyclone.idl import IdlStruct
 from ros2_pyterfaces.cydr.all_msgs import LaserScan
@@ -44,15 +46,23 @@ class Ends:
         return {"count": int(self.publishers[asked["heard"]][1].zenoh_pub.matching_status.matching)}
 
     def subscribe(self, asked):
-        kind, found = KINDS[asked["type"]], []
-        take = lambda sample: found.append(kind.deserialize(sample.payload.to_bytes()))  # noqa: E731
-        self.found[asked["subscribe"]] = (
-            found,
-            RawSub(kind, asked["subscribe"], take, session=self.node, scope=None),
-        )
+        kind, topic, found = KINDS[asked["type"]], asked["subscribe"], []
+
+        def take(sample):
+            attached = Attachment.deserialize(b"\0\1\0\0" + sample.attachment.to_bytes())
+            found.append((kind.deserialize(sample.payload.to_bytes()), attached))
+
+        self.found[topic] = found, RawSub(kind, topic, take, session=self.node, scope=None)
 
     def take(self, asked):
-        return {"values": [told(message) for message in self.found[asked["take"]][0]]}
+        return {"values": [told(message) for message, _ in self.found[asked["take"]][0]]}
+
+    def attached(self, asked):
+        """What came with each message: its number, and whether the publisher is one that tokens tell of."""
+        tokens = [str(reply.ok.key_expr) for reply in self.node.session.liveliness().get("@ros2_lv/**")]
+        publishers = {bytes(rmw_zenoh_gid(token)) for token in tokens if "/MP/" in token}
+        found = [attached for _, attached in self.found[asked["attached"]][0]]
+        return {"told": [(int(each.sequence_number), bytes(each.source_gid) in publishers) for each in found]}
 
 
 def told(value):

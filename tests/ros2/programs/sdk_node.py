@@ -48,6 +48,17 @@ class Ends:
     def take(self, asked):
         return {"values": [told(message) for message in self.found[asked["take"]][0]]}
 
+    def told(self, asked):
+        """Who publishes a topic, as its own discovery says."""
+        where = {name: self.where[name] for name in ("domain_id", "router_ip", "router_port")}
+        topic = get_topic_info(asked["told"], **where, timeout=2.0, verbose=True)
+        found = []
+        for each in topic.publishers if topic else ():
+            qos = QosProfile.decode(each.qos)
+            told = [each.node_namespace, each.node_name, each.topic_type, each.type_hash]
+            found.append([*told, qos.reliability.name, qos.durability.name, qos.history_depth])
+        return {"publishers": found}
+
 
 def told(value):
     if hasattr(value, "__dataclass_fields__"):
@@ -63,6 +74,7 @@ os.environ["ZENOH_CONFIG_OVERRIDE"] = (
 )
 
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber  # noqa: E402 - it reads the variable
+from zenoh_ros2_sdk.discovery import get_topic_info  # noqa: E402
 from zenoh_ros2_sdk.message_registry import get_registry  # noqa: E402
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile  # noqa: E402
 
