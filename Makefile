@@ -14,14 +14,17 @@ demo: $(VENV)/.run
 # last, so that all end together.
 PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
+# Tests that want programs by others.
+WITNESSED := tests/ros2 tests/e2e/test_ros2_played.py
+
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(PARALLEL) --ignore tests/ros2 $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) $(addprefix --ignore ,$(WITNESSED)) $(ARGS)
 
 # What ROS 2's own programs, and others, make of what is written, and what is made of theirs: CONTRIBUTING.md.
 test-ros2: $(VENV)/.dev
 	@echo "Installing other programs into build/ros2, once: 1 GB on disk, two minutes."
 	@tests/ros2/install.sh $(BIN)/python build/ros2
-	$(BIN)/python -m pytest tests/ros2 -rs $(ARGS)
+	$(BIN)/python -m pytest $(WITNESSED) -rs $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
 coverage: $(VENV)/.dev

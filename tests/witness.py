@@ -60,3 +60,19 @@ class Answering:
         answer = self._process.stdout.readline()
         assert answer, f"{self._process.args} ended with {self._process.wait()}"
         return json.loads(answer)
+
+
+def rclpy_node(distribution, domain, name):
+    """A node of ROS 2 on DDS, on loopback and without multicast: programs/rclpy_node.py."""
+    wanted(f"{distribution}-messages")
+    settings = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return Answering(distribution, "rclpy_node.py", name, settings=settings)
+
+
+def zenoh_node(library, domain, endpoint, name):
+    """A node of rmw_zenoh's form: programs/pyzeros_node.py, programs/sdk_node.py."""
+    if library == "pyzeros":
+        return Answering("zenoh", "pyzeros_node.py", name, str(domain), endpoint)
+    wanted("kilted-messages")  # for their definitions
+    where = endpoint.rpartition(":")[2], str(MADE / "kilted" / "share")
+    return Answering("zenoh", "sdk_node.py", name, str(domain), *where)

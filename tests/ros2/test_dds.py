@@ -2,6 +2,7 @@
 
 import os
 import random
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 import turtlebot4
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.topics import Qos, Topic
-from witness import Answering, wanted
+from witness import rclpy_node
 
 TYPES = {"/scan": cdr.LASER_SCAN, "/tf": cdr.TF_MESSAGE, "/tf_static": cdr.TF_MESSAGE}
 RELIABLE = {"reliable": True, "latched": False, "depth": 100}
@@ -25,18 +26,9 @@ def domain():
 
 @pytest.fixture
 def node(distribution, domain):
-    """`node(name)` starts one, on loopback and without multicast."""
-    wanted(f"{distribution}-messages")
-    running = []
-
-    def node(name):
-        settings = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        running.append(Answering(distribution, "rclpy_node.py", name, settings=settings))
-        return running[-1].__enter__()
-
-    yield node
-    for started in running:
-        started.__exit__()
+    """`node(name)` starts one."""
+    with ExitStack() as running:
+        yield lambda name: running.enter_context(rclpy_node(distribution, domain, name))
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Programs by others that speak as rmw_zenoh does: what they publish is listed and read; they get the map."""
 
+from contextlib import ExitStack
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from ogm_client.session import NetworkConfig, open_session
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.topics import TYPE_HASHES, Qos, Topic
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
-from witness import MADE, Answering, wanted
+from witness import zenoh_node
 
 DOMAIN = 7
 TYPES = {"/scan": cdr.LASER_SCAN, "/tf": cdr.TF_MESSAGE, "/tf_static": cdr.TF_MESSAGE}
@@ -17,23 +19,15 @@ RELIABLE = {"reliable": True, "latched": False, "depth": 10}
 
 
 @pytest.fixture(params=["pyzeros", "sdk"])
-def node(request, listener, endpoint):
+def library(request):
+    return request.param
+
+
+@pytest.fixture
+def node(library, listener, endpoint):
     """`node(name)` starts one."""
-    running = []
-
-    def node(name):
-        if request.param == "pyzeros":
-            told = [endpoint]
-        else:
-            wanted("kilted-messages")  # for their definitions
-            told = [endpoint.rpartition(":")[2], str(MADE / "kilted" / "share")]
-        running.append(Answering("zenoh", f"{request.param}_node.py", name, str(DOMAIN), *told))
-        return running[-1].__enter__()
-
-    node.by = request.param
-    yield node
-    for started in running:
-        started.__exit__()
+    with ExitStack() as running:
+        yield lambda name: running.enter_context(zenoh_node(library, DOMAIN, endpoint, name))
 
 
 @pytest.fixture
@@ -82,7 +76,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
 
 
-def test_a_node_gets_the_map(node, source, eventually):
+def test_a_node_gets_the_map(library, node, source, eventually):
     """One that comes late where it knows how to ask; pyzeros does not, and gets the next.
 
     zenoh-ros2-sdk asks wrongly for what is kept of topics whose names have two parts, so it is /map.
@@ -97,7 +91,7 @@ def test_a_node_gets_the_map(node, source, eventually):
     viewer.ask(subscribe="/map", type=cdr.OCCUPANCY_GRID, reliable=True, latched=True, depth=1)
 
     def read():
-        if node.by == "pyzeros":
+        if library == "pyzeros":
             latched.put(cdr.encode_occupancy_grid(last))
         return viewer.ask(take="/map")["values"]
 
@@ -109,7 +103,7 @@ def test_a_node_gets_the_map(node, source, eventually):
     latched.close()
 
 
-@pytest.mark.parametrize("node", ["sdk"], indirect=True)
+@pytest.mark.parametrize("library", ["sdk"], indirect=True)
 def test_others_know_who_publishes_the_map_and_how(node, source, eventually):
     latched = source.publish_latched("/map", cdr.OCCUPANCY_GRID)
     viewer = node("/viewer")
@@ -121,7 +115,7 @@ def test_others_know_who_publishes_the_map_and_how(node, source, eventually):
     latched.close()
 
 
-@pytest.mark.parametrize("node", ["pyzeros"], indirect=True)
+@pytest.mark.parametrize("library", ["pyzeros"], indirect=True)
 def test_messages_are_numbered_and_say_whose_they_are(node, source, eventually):
     latched = source.publish_latched("/map", cdr.OCCUPANCY_GRID)
     viewer = node("/viewer")

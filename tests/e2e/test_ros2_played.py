@@ -1,0 +1,119 @@
+"""A real robot's recording, played by nodes of others, through `ogm ros2` into a mapper: `make test-ros2`."""
+
+import os
+import random
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+import turtlebot4
+from ogm_client.session import NetworkConfig, open_session
+from ogm_core.errors import NoPose
+from ogm_core.placing.pose_history import PoseHistory
+from ogm_core.ros2 import cdr
+from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.messages import decode_pose, decode_scan
+from witness import rclpy_node, zenoh_node
+
+KEYS = MapKeys("default")
+MOVING = {"reliable": True, "latched": False, "depth": 100}
+LATCHED = {"reliable": True, "latched": True, "depth": 1}
+
+
+@dataclass
+class Sent:
+    """What a mapper was sent."""
+
+    poses: list = field(default_factory=list)
+    scans: list = field(default_factory=list)
+
+    def take(self, sample):
+        payload = sample.payload.to_bytes()
+        if KEYS.source_of(str(sample.key_expr)).sensor is None:
+            self.poses.append(decode_pose(payload))
+        else:
+            self.scans.append(decode_scan(payload))
+
+    def placed(self):
+        history = PoseHistory()
+        for message in self.poses:
+            history.append(message.stamp, message.pose)
+        for scan in self.scans:
+            with suppress(NoPose):
+                yield scan, history.at(scan.stamp)
+
+
+@pytest.fixture
+def domain():
+    """A domain of DDS that nobody else is in, by all odds."""
+    pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
+    return random.Random(os.urandom(8)).randint(1, 101)
+
+
+@pytest.fixture
+def mapped(ogm, domain, datasets, eventually):
+    """`mapped(robots, *flags)`: what a mapper was sent when they played the recording, and its status."""
+    said = list(turtlebot4.messages(datasets))
+    statics = [message for message in said if message.topic == "/tf_static"]
+    x, y, theta = turtlebot4.alignment(datasets)
+
+    def mapped(robots, *flags, late):
+        # Its first scans came 3.5 s before their transforms.
+        mapper, sent = ogm.ready(ogm.mapper(OGM_MAPPER__POSE_WAIT="5")), Sent()
+        for robot in robots:
+            robot.ask(publish="/tf_static", type=cdr.TF_MESSAGE, **(LATCHED if late else MOVING))
+        robots[0].ask(publish="/scan", type=cdr.LASER_SCAN, **MOVING)
+        robots[0].ask(publish="/tf", type=cdr.TF_MESSAGE, **MOVING)
+
+        def tell_statics():
+            for robot, message in zip(robots, statics, strict=True):
+                robot.ask(put="/tf_static", cdr=message.payload.hex())
+
+        if late:
+            tell_statics()
+        with open_session(NetworkConfig(connect=(mapper.endpoint,))) as session:
+            session.declare_subscriber(KEYS.robots, sent.take)
+            origin = f"domain{domain}:origin={x!r},{y!r},{theta!r}"
+            feed = ogm.start(
+                *("ros2", "--connect", mapper.endpoint, "--domain", domain, "--scan-delay", "-0.1"),
+                *("--robot", origin, *flags),
+            )
+            eventually(lambda: all(robot.ask(heard="/tf_static")["count"] for robot in robots), timeout=120)
+            if not late:
+                tell_statics()
+            turtlebot4.play(said, robots[0], {"/scan": sent.scans}, eventually)
+            eventually(lambda: len(sent.poses) >= turtlebot4.TRANSFORMS)
+            eventually(lambda: mapper.status()["scans"]["received"] == turtlebot4.SCANS)
+            eventually(lambda: not mapper.status()["scans"]["pending"])
+            ended = feed.stop()
+        told = ended.warnings.splitlines()
+        assert (ended.code, len(told)) == (0, 2), ended
+        assert "there is no map frame" in told[0]
+        assert "time_increment" in told[1]
+        return sent, mapper.status()
+
+    return mapped
+
+
+def test_a_recording_played_on_dds_and_on_zenoh(mapped, domain, datasets, listener, endpoint):
+    with ExitStack() as running:
+        names = ("/driver", "/urdf")
+        nodes = [running.enter_context(rclpy_node("kilted", domain, name)) for name in names]
+        on_dds, status = mapped(nodes, "--dds", "--interface", "lo", late=True)
+    assert (len(on_dds.scans), len(on_dds.poses)) == (turtlebot4.SCANS, turtlebot4.TRANSFORMS)
+    assert status["scans"]["integrated"] >= 356
+    hits, share = turtlebot4.on_walls(datasets, on_dds.placed())
+    assert hits > 190_000
+    assert share >= 0.85
+    with ExitStack() as running:
+        nodes = [running.enter_context(zenoh_node("pyzeros", domain, endpoint, name)) for name in names]
+        on_zenoh, _ = mapped(nodes, "--zenoh", endpoint, late=False)
+    assert [(each.stamp, each.pose, each.seq) for each in on_zenoh.poses] == [
+        (each.stamp, each.pose, each.seq) for each in on_dds.poses
+    ]
+    for one, other in zip(on_zenoh.scans, on_dds.scans, strict=True):
+        assert one.ranges.tobytes() == other.ranges.tobytes()
+        for name in one.__dataclass_fields__.keys() - {"ranges", "run"}:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
