@@ -1,5 +1,6 @@
 """A real robot's recording, played by nodes of others, through `ogm ros2` into a mapper: `make test-ros2`."""
 
+import json
 import os
 import random
 from contextlib import ExitStack, suppress
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import turtlebot4
+from ogm_client.robot import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import NoPose
 from ogm_core.placing.pose_history import PoseHistory
@@ -117,3 +119,55 @@ def test_a_recording_played_on_dds_and_on_zenoh(mapped, domain, datasets, listen
         assert one.ranges.tobytes() == other.ranges.tobytes()
         for name in one.__dataclass_fields__.keys() - {"ranges", "run"}:
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("distribution", ["jazzy", "kilted"])
+def test_a_display_of_ros_follows_the_map(ogm, distribution, domain, lab_recording, eventually):
+    mapper = ogm.ready(ogm.mapper())
+    where = "--domain", domain, "--connect", mapper.endpoint
+    ogm.start("ros2", "--dds", "--interface", "lo", *where, "--publish-map", "/ogm/map")
+    with rclpy_node(distribution, domain, "/display") as display:
+        display.ask(subscribe="/ogm/map", type=cdr.OCCUPANCY_GRID, **LATCHED)
+        display.ask(subscribe="/ogm/map_updates", type=cdr.OCCUPANCY_GRID_UPDATE, **LATCHED)
+
+        replayed = ogm.run("replay", lab_recording, "--connect", mapper.endpoint, "--speed", "max")
+        assert replayed.code == 0, replayed
+
+        def shows_the_map():
+            expected = trinary(mapper.get("map.pgm"))
+            return np.array_equal(shown(display), expected)
+
+        eventually(shows_the_map)
+        (robot,) = mapper.status()["robots"].values()
+        x, y, _ = robot["pose"]
+        looks = {"angle_min": -1.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 10.0}
+        with RobotPublisher("box", address=mapper.endpoint) as box:
+            for _ in range(30):  # few cells change, so that is told as an update
+                box.publish_scan([0.3] * 21, **looks, pose=(x, y, 0.0))
+        eventually(lambda: display.ask(take="/ogm/map_updates")["values"])
+        eventually(shows_the_map)
+        info = display.ask(take="/ogm/map")["values"][-1]["info"]
+    position, origin = info["origin"]["position"], json.loads(mapper.get("map.json"))["origin"]
+    assert (position["x"], position["y"]) == (origin["x"], origin["y"])
+
+
+def shown(display):
+    """The last map, with the last update of it."""
+    whole, updates = (display.ask(take=topic)["values"] for topic in ("/ogm/map", "/ogm/map_updates"))
+    if not whole:
+        return None
+    info = whole[-1]["info"]
+    cells = np.array(whole[-1]["data"], np.int8).reshape(info["height"], info["width"])
+    for update in updates[-1:]:
+        rows, columns = update["height"], update["width"]
+        patch = np.array(update["data"], np.int8).reshape(rows, columns)
+        cells[update["y"] : update["y"] + rows, update["x"] : update["x"] + columns] = patch
+    return cells
+
+
+def trinary(pgm):
+    """Cells of a picture as nav2 reads it, row 0 south."""
+    head, greys = pgm.rsplit(b"\n255\n", 1)
+    width, height = map(int, head.split()[-2:])
+    values = {0: 100, 254: 0, 205: -1}
+    return np.vectorize(values.get)(np.frombuffer(greys, np.uint8).reshape(height, width))[::-1]
