@@ -22,7 +22,6 @@ test: $(VENV)/.dev
 
 # What ROS 2's own programs, and others, make of what is written, and what is made of theirs: CONTRIBUTING.md.
 test-ros2: $(VENV)/.dev
-	@echo "Installing other programs into build/ros2, once: 1 GB on disk, two minutes."
 	@tests/ros2/install.sh $(BIN)/python build/ros2
 	$(BIN)/python -m pytest $(WITNESSED) -rs $(ARGS)
 

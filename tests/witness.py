@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).parent.parent
 MADE = ROOT / "build" / "ros2"
 PROGRAMS = Path(__file__).parent / "ros2" / "programs"
+ENDED = 60.0
+"""How long a program may take to end, s."""
 
 
 def wanted(*names):
@@ -51,8 +53,13 @@ class Answering:
         return self
 
     def __exit__(self, *_):
-        with self._process:
-            self._process.stdin.close()
+        """Let it end, as it does when nothing more can be asked."""
+        with self._process as process:
+            process.stdin.close()
+            try:
+                process.wait(ENDED)
+            finally:
+                process.kill()
 
     def ask(self, **question):
         self._process.stdin.write(json.dumps(question) + "\n")

@@ -13,6 +13,7 @@ python=$(command -v "$1")
 "$python" -c "$for_its_wheels" 2>/dev/null || python=$(command -v python3.11 || command -v "$1")
 mkdir -p "$2/home"
 folder=$(cd "$2" && pwd)
+said=
 
 # clean COMMAND...: at most five minutes of it; a registry that never answers is one that cannot be had.
 clean() { timeout 300 env -i PATH="$PATH" HOME="$folder/home" LANG=C.UTF-8 "$@"; }
@@ -29,6 +30,8 @@ unchanged() {
 made() {
   local name=$1 started=$SECONDS
   shift
+  [ -n "$said" ] || echo "Installing programs by others into $folder, once: 1 GB on disk, a few minutes."
+  said=yes
   if "$@" >"$folder/$name.log" 2>&1; then
     mv "$folder/$name.wanted" "$folder/$name.made"
     rm -f "$folder/$name.missing"

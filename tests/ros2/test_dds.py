@@ -7,6 +7,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
+import naive_cdr
 import turtlebot4
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.topics import Qos, Topic
@@ -96,3 +97,29 @@ def test_a_node_that_comes_late_gets_a_map_of_a_million_cells(node, source, even
     assert (info["origin"]["position"]["x"], info["resolution"]) == (-1.0, float(np.float32(0.05)))
     np.testing.assert_array_equal(read["data"], data.ravel())
     latched.close()
+
+
+def test_robots_of_two_distributions_in_two_domains_are_not_mixed(domain, source, eventually):
+    from ogm_services.ros2.dds import DdsSource
+
+    other = DdsSource(domain % 101 + 1, "lo")
+    scans = [scan_of(1.0), scan_of(2.0)]
+    with (
+        rclpy_node("jazzy", source.domain, "/driver") as one,
+        rclpy_node("kilted", other.domain, "/driver") as two,
+    ):
+        robots, came = [(source, one), (other, two)], [[], []]
+        for (there, robot), found in zip(robots, came, strict=True):
+            robot.ask(publish="/scan", type=cdr.LASER_SCAN, **RELIABLE)
+            there.subscribe(eventually(lambda there=there: named(there, "/scan")), found.append)
+        eventually(lambda: all(robot.ask(heard="/scan")["count"] for _, robot in robots))
+        for (_, robot), scan in zip(robots, scans, strict=True):
+            robot.ask(put="/scan", cdr=scan.hex())
+        eventually(lambda: all(came))
+        assert [robot.ask(heard="/scan")["count"] for _, robot in robots] == [1, 1]
+    assert came == [[scans[0]], [scans[1]]]
+    other.close()
+
+
+def scan_of(distance):
+    return naive_cdr.laser_scan(5, "laser", (0, 0, 0.1, 0, 0, 0.1, 10), [distance, distance])
