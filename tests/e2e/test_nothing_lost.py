@@ -17,10 +17,10 @@ from tests.soak.missed import (
 )
 
 
-def test_a_mapper_that_is_killed_five_times_has_every_scan_of_a_robot_at_40_hz(tmp_path):
-    found = mapper_killed(tmp_path, 5, robots=1, rate=40.0)
+def test_a_mapper_that_is_killed_three_times_has_every_scan_of_a_robot_at_40_hz(tmp_path):
+    found = mapper_killed(tmp_path, 3, robots=1, rate=40.0)
     assert found.right, found
-    assert found.sent > 400
+    assert found.sent > 250
 
 
 @pytest.mark.parametrize("rate", [2.0, 10.0])

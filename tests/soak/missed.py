@@ -155,7 +155,7 @@ def mapper_killed(
             scene.mapper.end(number)
             time.sleep(moments.uniform(0.0, 1.0))
             scene.mapper.start()
-            if kill % 5 != 3 or kill == kills - 1 or number != signal.SIGKILL:
+            if kill % 5 != 1 or kill == kills - 1 or number != signal.SIGKILL:
                 scene.mapper.wait_until_ready()
                 ready += 1
             scene.note_away(scene.sent - before)
