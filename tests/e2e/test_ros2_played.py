@@ -62,8 +62,7 @@ def mapped(ogm, domain, datasets, eventually):
     x, y, theta = turtlebot4.alignment(datasets)
 
     def mapped(robots, *flags, late):
-        # Its first scans came 3.5 s before their transforms.
-        mapper, sent = ogm.ready(ogm.mapper(OGM_MAPPER__POSE_WAIT="5")), Sent()
+        mapper, sent = ogm.ready(ogm.mapper()), Sent()
         for robot in robots:
             robot.ask(publish="/tf_static", type=cdr.TF_MESSAGE, **(LATCHED if late else MOVING))
         robots[0].ask(publish="/scan", type=cdr.LASER_SCAN, **MOVING)

@@ -175,9 +175,9 @@ def test_what_is_missing_comes_out_of_the_cache_before_what_came_later(hold, rec
     take(hold, *(scan(seq) for seq in (7, 8, 9, 10)))
     eventually(lambda: len(recorder.handed_on) == 11)
     assert recorder.seqs() == list(range(11))
-    # 5 and 6 were held, 7 to 9 came after: they came twice.
-    eventually(lambda: len(recorder.came_again) == 3)
     eventually(lambda: hold.held == 0)
+    # 5 was held, 7 to 9 came after: they came twice; 6 was held if it came before the answer.
+    assert len(recorder.came_again) in (3, 4)
     assert recorder.gone == []
 
 

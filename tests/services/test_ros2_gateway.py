@@ -54,6 +54,52 @@ def test_a_lidar_that_is_late_does_not_have_its_scans_before_the_poses(gateway, 
     assert found.sent.order.index("scan") >= 50
 
 
+def scan_at(stamp):
+    return naive_cdr.laser_scan(stamp, "laser", (-0.5, 0.5, 0.5, 0, 0.1, 0.1, 10.0), RANGES)
+
+
+def test_scans_that_come_seconds_before_their_poses_wait_for_them(gateway, network):
+    """As of a localisation that stalls: a mapper drops what is too far ahead of the newest pose."""
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    for n in (0, 1):
+        driver.drive(n)
+    found.until(lambda: sorted(found.sent.order) == ["pose", "pose", "scan"])
+    for n in range(2, 40):
+        driver.scan(scan_at(n * 100 * MS))
+    (feed,) = found.work._feeds.values()
+    found.until(lambda: len(feed.waiting) == 28)
+    found.until(lambda: len(found.sent.scans["domain0/scan"]) == 11)
+    assert found.sent.scans["domain0/scan"][-1].stamp == 1100 * MS  # 1 s after the newest pose
+    for n in range(2, 40):
+        driver.drive(n, scan=False)
+    found.until(lambda: len(found.sent.scans["domain0/scan"]) == 39)
+    newest = 0
+    for kind, message in zip(found.sent.order, messages_in_order(found.sent), strict=True):
+        newest = message.stamp if kind == "pose" else newest
+        assert message.stamp <= newest + S
+    assert found.counts == {"domain0/scan": {"sent": 39}}
+
+
+def messages_in_order(sent):
+    poses, scans = iter(sent.poses["domain0"]), iter(sent.scans["domain0/scan"])
+    return [next(poses if kind == "pose" else scans) for kind in sent.order]
+
+
+def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network, monkeypatch):
+    monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.3)
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    for n in (0, 1):
+        driver.drive(n)
+    found.until(lambda: sorted(found.sent.order) == ["pose", "pose", "scan"])
+    driver.scan(scan_at(5 * S))
+    found.until(lambda: [scan.stamp for scan in found.sent.scans["domain0/scan"]] == [50 * MS, 5 * S])
+    assert found.counts == {"domain0/scan": {"sent": 2}}
+
+
 def test_three_robots_with_namespaces_are_not_mixed(gateway, network):
     drivers = {
         f"r{n}": Driver(

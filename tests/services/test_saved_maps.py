@@ -285,13 +285,13 @@ def test_the_restored_map_is_on_the_disk_when_that_is_answered(keeping, tmp_path
         assert fingerprint(found.grid) == fingerprint(keeping.service.live_map._grid)
 
 
-def test_scans_that_wait_and_what_is_known_of_robots_outlive_a_restore(keeping):
+def test_scans_that_wait_and_what_is_known_of_robots_outlive_a_restore(keeping, eventually):
     asks = OverHttp(keeping)
     asks.ask("save", name="a")
     keeping.pose(at=0)
     keeping.scan([1.0], run="a", seq=0, at=10)
     keeping.scan([1.0], run="a", seq=1, at=60, pose=[0, 0, 0])
-    keeping.service.parts.worker.do(lambda: None)
+    eventually(lambda: keeping.status()["scans"]["received"] == 5)
     asks.ask("restore", name="a")
     keeping.pose(at=100)
     assert keeping.settle(received=5)["revision"] == 4

@@ -201,10 +201,11 @@ class Gateway:
         poses, now = self._poses_for(number, feed.topic), time.monotonic()
         while feed.waiting:
             message, since = feed.waiting[0]
+            patient = now - since < PATIENCE and len(feed.waiting) <= MAX_WAITING
             try:
-                self._send(poses, feed, message, now)
+                self._send(poses, feed, message, now, patient=patient)
             except NoTransformYet as error:
-                if now - since < PATIENCE and len(feed.waiting) <= MAX_WAITING:
+                if patient:
                     return
                 self._account.dropped(feed.topic.name, error.slug, str(error), error.kind)
             except ScanRefused as error:
@@ -214,7 +215,13 @@ class Gateway:
             feed.waiting.popleft()
 
     def _send(
-        self, poses: PoseSource, feed: SensorFeed, message: cdr.LaserScan | cdr.PointCloud2, now: float
+        self,
+        poses: PoseSource,
+        feed: SensorFeed,
+        message: cdr.LaserScan | cdr.PointCloud2,
+        now: float,
+        *,
+        patient: bool,
     ) -> None:
         mounted = poses.owner(feed, message, now)
         poses.send_poses()  # a robot's first scan tells whose they are: a mapper wants the older ones first
@@ -226,6 +233,8 @@ class Gateway:
             mount = level(rule.mount)
         else:
             mount = poses.mount(mounted, message, stamp)
+        if patient and robot.is_ahead(stamp):
+            raise NoTransformYet(f"the poses of {robot.name} have not come so far yet", "no pose")
         robot.send_scan(sensor, functools.partial(feed.scan, message, mount, rule))
         self._account.sent(source)
         hint = feed.hint(source, message, rule)

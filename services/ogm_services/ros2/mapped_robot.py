@@ -7,6 +7,8 @@ from collections.abc import Callable
 from ogm_client.robot import RobotPublisher
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 
+LEAD_NS = 1_000_000_000
+"""A mapper waits longer than that for a scan's pose, unless its `pose_wait`, 2 s, is set to less."""
 MakeScan = Callable[[int, str], Scan]
 """A scan of a number and run."""
 
@@ -19,6 +21,8 @@ class MappedRobot:
         self.name = publisher.robot
         self.origin = origin
         self._publisher = publisher
+        self._newest: int | None = None
+        """Stamp of the newest pose that was sent in this run, ns."""
         self._begin(publisher.run)
 
     def begin_run(self) -> None:
@@ -34,6 +38,11 @@ class MappedRobot:
         placed = (self.origin or IDENTITY).compose(pose)
         self._publisher.put_pose(PoseStamped(stamp, placed, self._poses, self._run))
         self._poses += 1
+        self._newest = stamp
+
+    def is_ahead(self, stamp: int) -> bool:
+        """Whether a stamp, ns, lies so far after the newest pose that a mapper might not wait for its own."""
+        return self._newest is None or stamp - self._newest > LEAD_NS
 
     def send_scan(self, sensor: str, make: MakeScan) -> None:
         """Send a scan that is made for its number and run.
@@ -52,3 +61,4 @@ class MappedRobot:
         self._run = run
         self._seqs: Counter[str] = Counter()
         self._poses = 0
+        self._newest = None
