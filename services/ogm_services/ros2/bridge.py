@@ -1,12 +1,11 @@
 """Topics of robots behind a zenoh-bridge-ros2dds, on an open session to it."""
 
 import zenoh
-from zenoh import ext
 
 from ogm_core.ros2 import bridge_names
 from ogm_core.ros2.topics import Form, Topic
 from ogm_services.ros2.topic_source import Take
-from ogm_services.ros2.zenoh_subscription import NUMBERED, ZenohSubscription
+from ogm_services.ros2.zenoh_subscription import ZenohSubscription, latched_publisher
 from ogm_services.ros2.zenoh_tokens import ZenohTokens
 
 
@@ -44,14 +43,7 @@ class BridgeLatched:
     """A topic whose last message is kept for bridges that ask for it."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._publisher = ext.declare_advanced_publisher(
-            session,
-            key,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            cache=ext.CacheConfig(max_samples=1),
-            sample_miss_detection=NUMBERED,
-            publisher_detection=True,
-        )
+        self._publisher = latched_publisher(session, key)
 
     def put(self, payload: bytes) -> None:
         """Publish a message; it waits rather than drops it."""

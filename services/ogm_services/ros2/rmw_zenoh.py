@@ -5,13 +5,12 @@ import threading
 import time
 
 import zenoh
-from zenoh import ext
 
 from ogm_core.ros2 import cdr, rmw_zenoh_names
 from ogm_core.ros2.rmw_zenoh_names import Entity
 from ogm_core.ros2.topics import NO_HASH, TYPE_HASHES, Form, Qos, Topic
 from ogm_services.ros2.topic_source import NODE, Take
-from ogm_services.ros2.zenoh_subscription import NUMBERED, ZenohSubscription
+from ogm_services.ros2.zenoh_subscription import ZenohSubscription, latched_publisher
 from ogm_services.ros2.zenoh_tokens import ZenohTokens
 
 _LATCHED = Qos(reliable=True, transient_local=True, depth=1)
@@ -123,14 +122,7 @@ class _Publisher:
     """A publisher under one key, which keeps its last message."""
 
     def __init__(self, session: zenoh.Session, key: str, token: str) -> None:
-        self._publisher = ext.declare_advanced_publisher(
-            session,
-            key,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            cache=ext.CacheConfig(max_samples=1),
-            sample_miss_detection=NUMBERED,
-            publisher_detection=True,
-        )
+        self._publisher = latched_publisher(session, key)
         self._token = session.liveliness().declare_token(token)
         self._gid = rmw_zenoh_names.gid(token)
         self._seqs = itertools.count(1)

@@ -1,4 +1,4 @@
-"""Subscription to keys on which robots publish over Zenoh: what publishers keep, and all that comes later."""
+"""Subscriptions to keys on which robots publish over Zenoh, and latched publishers there."""
 
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -41,3 +41,15 @@ class ZenohSubscription:
     def close(self) -> None:
         """Take no more."""
         self._open.close()
+
+
+def latched_publisher(session: zenoh.Session, key: str) -> ext.AdvancedPublisher:
+    """A publisher whose last message is kept for who comes later; it waits rather than drops one."""
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        cache=ext.CacheConfig(max_samples=1),
+        sample_miss_detection=NUMBERED,
+        publisher_detection=True,
+    )
