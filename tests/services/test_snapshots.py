@@ -1,5 +1,6 @@
 """Named snapshots: the map as it was, in a file of its own."""
 
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -163,7 +164,8 @@ def test_a_damaged_snapshot_is_refused_and_listed_as_damaged(story):
     (folder / "zeroed.sqlite").write_bytes(content[: 4 * 4096] + bytes(4096) + content[5 * 4096 :])
     (folder / "empty.sqlite").write_bytes(b"")
     for name in ("cut", "zeroed", "empty"):
-        with pytest.raises(BadStore, match=rf"{re.escape(str(folder))}/{name}\.sqlite is damaged: "):
+        said = rf"^{re.escape(str(folder))}/{name}\.sqlite is damaged: .*: delete this snapshot$"
+        with pytest.raises(BadStore, match=said):
             saved(story.store, name, story.grid.settings)
     listed = {snapshot.name: snapshot.damage for snapshot in snapshots.list()}
     assert listed["good"] is None
@@ -175,7 +177,7 @@ def test_a_damaged_snapshot_is_refused_and_listed_as_damaged(story):
 
 def test_a_snapshot_of_other_settings_is_refused(story, tmp_path_factory):
     story.store.save("one")
-    with pytest.raises(BadSetting, match=r"map\.alpha is 0\.3, and there 0\.1"):
+    with pytest.raises(BadSetting, match=r"one\.sqlite: .* map\.alpha is 0\.3, and there 0\.1: only a "):
         saved(story.store, "one", replace(story.grid.settings, alpha=0.3))
     other = tmp_path_factory.mktemp("other")
     with MapStore(other) as store:
@@ -211,3 +213,37 @@ def test_a_snapshot_takes_no_room_for_what_is_no_map(story):
     story.commit()
     story.store.save("one")
     assert story.store.snapshots.list()[0].bytes < 100_000
+
+
+def test_what_is_no_file_or_has_no_name_is_no_snapshot(story, tmp_path):
+    """Nobody opens it: a pipe would never answer."""
+    story.store.save("one")
+    snapshots, folder = story.store.snapshots, story.store.folder / "snapshots"
+    os.mkfifo(folder / "pipe.sqlite")
+    (folder / "folder.sqlite").mkdir()
+    (folder / "nowhere.sqlite").symlink_to(tmp_path / "nothing")
+    for name in ("my map.sqlite", ".sqlite"):
+        shutil.copy(folder / "one.sqlite", folder / name)
+    (folder / "link.sqlite").symlink_to(folder / "one.sqlite")
+    assert [snapshot.name for snapshot in snapshots.list()] == ["link", "one"]
+    for name in ("pipe", "folder", "nowhere"):
+        with pytest.raises(UnknownName, match=r"there is no such snapshot; there are: link, one$"):
+            snapshots.delete(name)
+    with pytest.raises(BadParameter, match=r"name folder: .*folder\.sqlite is no file: take another name"):
+        story.store.save("folder")
+    assert fingerprint(saved(story.store, "link", story.grid.settings)) == fingerprint(story.grid)
+
+
+def test_a_stored_map_that_is_copied_there_is_a_snapshot(story, tmp_path_factory):
+    """Of the moment at which its mapper had ended, when it had no log."""
+    other = tmp_path_factory.mktemp("other")
+    story.store.save("one")
+    shutil.copytree(story.store.folder, other, dirs_exist_ok=True)
+    with MapStore(other) as store:
+        restored(store, story.grid.settings)
+    shutil.copy(other / "map.sqlite", story.store.folder / "snapshots" / "two.sqlite")
+    assert [(found.name, found.damage) for found in story.store.snapshots.list()] == [
+        ("one", None),
+        ("two", None),
+    ]
+    assert fingerprint(saved(story.store, "two", story.grid.settings)) == fingerprint(story.grid)

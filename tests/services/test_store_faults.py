@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -241,3 +242,31 @@ def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path):
         assert states[fingerprint(found.grid, found.placing)] == revision
         assert revision >= committed
     assert revision > 10
+
+
+@pytest.mark.parametrize("replaced", [False, True], ids=["moved", "replaced"])
+@pytest.mark.parametrize("name", ["map.sqlite", "map.sqlite-wal", ""], ids=["file", "log", "folder"])
+def test_a_store_that_is_moved_away_is_missed_and_goes_on_when_it_is_back(tmp_path, name, replaced):
+    """SQLite alone would go on into files that nobody finds again."""
+    folder = tmp_path / "map"
+    with MapStore(folder) as store:
+        story = Story(store, grid_of())
+        story.integrate(2)
+        story.commit()
+        place, away = folder / name, tmp_path / "away"
+        place.rename(away)
+        if replaced:
+            (shutil.copytree if away.is_dir() else shutil.copy)(away, place)
+        assert not store.holds(story.grid.checkpoint())
+        for _ in range(2):
+            story.integrate(1)
+            with pytest.raises(StoreFails, match=r"map\.sqlite(-wal)?: it was moved, deleted or replaced"):
+                story.commit()
+        if replaced:
+            (shutil.rmtree if place.is_dir() else Path.unlink)(place)
+        away.rename(place)
+        story.integrate(1)
+        story.commit()
+        assert store.holds(story.grid.checkpoint())
+    with MapStore(folder) as store:
+        assert restored(store, story.grid.settings) == story.now

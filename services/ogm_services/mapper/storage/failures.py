@@ -21,8 +21,10 @@ class OtherVersion(BadStore):
 
 
 @contextmanager
-def told_as_damage(path: Path, folder: Path) -> Iterator[None]:
-    """Say of whatever is wrong with a store's file which file it is, and how to repair its folder's store.
+def told_as_damage(path: Path, folder: Path | None) -> Iterator[None]:
+    """Say of whatever is wrong with a store's file which file it is, and what to do.
+
+    `folder` has the store, which can be repaired; None: the file is a snapshot, which cannot.
 
     Raises:
         BadStore: something is.
@@ -35,10 +37,11 @@ def told_as_damage(path: Path, folder: Path) -> Iterator[None]:
     except (sqlite3.Error, BadStore) as error:
         if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
             raise StoreFails(f"{path}: another program has it open: end that first") from error
-        raise BadStore(
-            f"{path} is damaged: {error}: `ogm repair {folder} --out NEW` saves what is intact into a new "
-            "store, and tells what is not"
-        ) from error
+        cure = "delete this snapshot"
+        if folder is not None:
+            into = "saves what is intact into a new store, and tells what is not"
+            cure = f"`ogm repair {folder} --out NEW` {into}"
+        raise BadStore(f"{path} is damaged: {error}: {cure}") from error
 
 
 @contextmanager

@@ -73,8 +73,9 @@ def open_file(path: Path, *, writing: bool = True) -> sqlite3.Connection:
         BadStore: it is no store, or of another version.
         sqlite3.Error: it cannot be opened.
     """
-    mode = "rw" if writing else "ro"
-    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", isolation_level=None, uri=True)
+    # Nobody writes it: it is read without locks, a store's file that was copied without its log as well.
+    mode = "mode=rw" if writing else "mode=ro&immutable=1"
+    connection = sqlite3.connect(f"{path.absolute().as_uri()}?{mode}", isolation_level=None, uri=True)
     try:
         # One process has the folder (see folder_lock): SQLite needs no memory that it shares with others.
         for setting in ("locking_mode = EXCLUSIVE", "trusted_schema = OFF", "cell_size_check = ON"):

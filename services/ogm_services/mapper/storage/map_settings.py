@@ -47,8 +47,8 @@ def planes_in(text: str) -> tuple[Plane, ...]:
         raise BadStore(f"its settings cannot be read: {error}") from error
 
 
-def settings_as_stored(text: str, given: GridSettings, where: str) -> GridSettings:
-    """`given`, on the very lattice of the stored map.
+def settings_as_stored(text: str, given: GridSettings, where: str, cure: str) -> GridSettings:
+    """`given`, on the very lattice of the stored map; errors say `where` that is, and what the `cure` is.
 
     Raises:
         BadSetting: they contradict those that the map was made with; the text names each, with both values.
@@ -69,7 +69,7 @@ def settings_as_stored(text: str, given: GridSettings, where: str) -> GridSettin
     if contradictions:
         raise BadSetting(
             f"{where}: the map that is stored there was made with other settings: "
-            f"{'; '.join(contradictions)}: give those, or store this map elsewhere"
+            f"{'; '.join(contradictions)}: {cure}"
         )
     anchor = (0.0, 0.0) if given.bounds is not None else tuple(map(float, stored["anchor"]))
     return replace(given, resolution=stored["resolution"], anchor=(anchor[0], anchor[1]))

@@ -20,7 +20,7 @@ from ogm_core.status import SnapshotInfo
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
-from ogm_services.mapper.storage.failures import told_as_damage, told_as_failure
+from ogm_services.mapper.storage.failures import StoreFails, told_as_damage, told_as_failure
 from ogm_services.mapper.storage.folder_lock import FolderLock
 from ogm_services.mapper.storage.layout import FILE, WAL_BYTES, created_file, flush_folder, open_file
 from ogm_services.mapper.storage.map_settings import as_text
@@ -44,6 +44,8 @@ class MapStore:
         self.folder = folder
         self.path = folder / FILE
         self._wal = folder / f"{FILE}-wal"
+        self._files: dict[Path, tuple[int, int]] = {}
+        """Those that are written into: which they are, by where they were."""
         self._root = Root()
         self._state: StoredState | None = None
         self._unstored: dict[str, bytes | None] = {}
@@ -51,6 +53,7 @@ class MapStore:
         self._lock = FolderLock(folder)
         try:
             self._connection = self._opened()
+            self._files[self.path] = _which(self.path)
             self.snapshots = Snapshots(folder)
             self.snapshots.clear_unfinished()
         except BaseException:
@@ -96,8 +99,9 @@ class MapStore:
         return restored
 
     def holds(self, checkpoint: Checkpoint) -> bool:
-        """Whether that map is stored, and all of the placing state that was given."""
-        return self._state is not None and self._state.map == checkpoint.state and not self._unstored
+        """Whether that map is stored in the folder, and all of the placing state that was given."""
+        known = self._state is not None and self._state.map == checkpoint.state and not self._unstored
+        return known and self._displaced() is None
 
     def commit(
         self,
@@ -117,6 +121,11 @@ class MapStore:
         if not self._looked:
             raise RuntimeError("a store that was there before is restored, or its map would be lost")
         self._unstored.update(placing)
+        displaced = self._displaced()
+        if displaced is not None:
+            raise StoreFails(
+                f"{displaced}: it was moved, deleted or replaced while its mapper runs: put it back"
+            )
         before = self._state
         whole = before is None or before.map.epoch != checkpoint.state.epoch
         text = as_text(settings)
@@ -130,13 +139,24 @@ class MapStore:
             state = rows.new_state(checkpoint.state, run, text, root)
             rows.write_state(self._connection, state)
         self._root, self._state, self._unstored = root, state, {}
-        if whole or self._wal.stat().st_size > WAL_BYTES:
-            with told_as_failure(self.path):
+        with told_as_failure(self.path):
+            self._files.setdefault(self._wal, _which(self._wal))
+            if whole or self._wal.stat().st_size > WAL_BYTES:
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def save(self, name: str, run: str | None = None) -> SnapshotInfo:
         """Save the map that is stored under a name; see `Snapshots.save`."""
         return self.snapshots.save(name, self._connection, run)
+
+    def _displaced(self) -> Path | None:
+        """A file that is written into, and is no longer what the next process will find in its place."""
+        for path, which in self._files.items():
+            try:
+                if _which(path) != which:
+                    return path
+            except OSError:
+                return path
+        return None
 
     def _opened(self) -> sqlite3.Connection:
         new = not self.path.exists()
@@ -166,6 +186,12 @@ class MapStore:
                 with contextlib.suppress(sqlite3.Error):  # SQLite may have rolled back by itself
                     self._connection.execute("ROLLBACK")
                 raise
+
+
+def _which(path: Path) -> tuple[int, int]:
+    """Which file it is, wherever it lies."""
+    file = path.stat()
+    return file.st_dev, file.st_ino
 
 
 def _unstored_tiles(checkpoint: Checkpoint, before: StoredState | None) -> Iterator[KeptTile]:

@@ -25,12 +25,12 @@ class RestoredMap:
 
 
 def read_map(
-    connection: sqlite3.Connection, settings: GridSettings, path: Path, folder: Path
+    connection: sqlite3.Connection, settings: GridSettings, path: Path, folder: Path | None
 ) -> RestoredMap | None:
     """The map in a store, value for value; None if there is none.
 
     `settings` are those that the map goes on with; `path` is the store's file,
-    `folder` the store that it is of.
+    `folder` where the store is, None if it is a snapshot.
 
     Raises:
         BadStore: the store is damaged; the text says what is, and what to do.
@@ -41,14 +41,20 @@ def read_map(
         state = rows.read_state(connection)
         if state is None:
             return None
-        grid = OccupancyGrid(settings_as_stored(state.settings, settings, str(folder)))
+        where = str(folder or path)
+        cure = (
+            "only a mapper with those shows it"
+            if folder is None
+            else "give those, or store this map elsewhere"
+        )
+        grid = OccupancyGrid(settings_as_stored(state.settings, settings, where, cure))
         root = Root()
         try:
             grid.restore(state.map, rows.read_tiles(connection, planes_in(state.settings), root))
         except IndexError as error:
             raise BadStore(f"{error} lies outside the map") from error
         except LimitReached as error:
-            raise BadSetting(f"{folder}: the map that is stored there: {error}: raise it") from error
+            raise BadSetting(f"{where}: the map that is stored there: {error}: raise it") from error
         placing = rows.read_placing(connection, root)
         rows.check_root(state, root)
     return RestoredMap(grid, placing, state, root)

@@ -43,9 +43,9 @@ def check_pages(connection: sqlite3.Connection) -> None:
     Raises:
         BadStore: a page is damaged.
     """
-    found = [text for (text,) in connection.execute("PRAGMA integrity_check(1)")]
+    found = [str(text) for (text,) in connection.execute("PRAGMA integrity_check(1)")]
     if found != ["ok"]:
-        raise BadStore(f"SQLite finds: {'; '.join(map(str, found))}")
+        raise BadStore(f"SQLite finds: {' '.join('; '.join(found).split())}")  # it says so in several lines
 
 
 def read_state(connection: sqlite3.Connection) -> StoredState | None:

@@ -28,10 +28,9 @@ _MOST_NAMED = 20
 class SavedMap:
     """A snapshot whose file is open: another of its name may take its place, and this one stays as it is."""
 
-    def __init__(self, connection: sqlite3.Connection, state: StoredState, path: Path, store: Path) -> None:
+    def __init__(self, connection: sqlite3.Connection, state: StoredState, path: Path) -> None:
         self._connection = connection
         self._path = path
-        self._store = store
         self.state = state
 
     @property
@@ -45,7 +44,7 @@ class SavedMap:
         Raises:
             BadStore, BadSetting: as `read_map`.
         """
-        restored = read_map(self._connection, settings, self._path, self._store)
+        restored = read_map(self._connection, settings, self._path, None)
         assert restored is not None, "it has a state"
         grid = restored.grid
         grid.run = self.state.run
@@ -108,7 +107,7 @@ class Snapshots:
 
     def list(self) -> list[SnapshotInfo]:
         """Every snapshot, by name."""
-        found = (self._listed(path) for path in sorted(self._folder.glob(f"*{_SUFFIX}")))
+        found = (self._listed(name) for name in self._names())
         return [snapshot for snapshot in found if snapshot is not None]
 
     @contextmanager
@@ -121,12 +120,12 @@ class Snapshots:
             BadStore: it is damaged.
         """
         path = self._existing(name)
-        with told_as_damage(path, self._store):
+        with told_as_damage(path, None):
             connection = open_file(path, writing=False)
         with closing(connection):
-            with told_as_damage(path, self._store):
+            with told_as_damage(path, None):
                 state = _state_in(connection)
-            yield SavedMap(connection, state, path, self._store)
+            yield SavedMap(connection, state, path)
 
     def delete(self, name: str) -> None:
         """Delete a snapshot.
@@ -141,17 +140,25 @@ class Snapshots:
             path.unlink(missing_ok=True)  # somebody else may just have done it
             flush_folder(self._folder)
 
+    def _names(self) -> tuple[str, ...]:
+        """Of every snapshot; whatever else lies in the folder is none, and nobody opens it."""
+        ends = len(_SUFFIX)
+        found = [path.name[:-ends] for path in self._folder.glob(f"*{_SUFFIX}") if path.is_file()]
+        return tuple(sorted(name for name in found if NAME.fullmatch(name)))
+
     def _existing(self, name: str) -> Path:
         path = self._path(name)
-        if not path.exists():
-            known = ", ".join(found.stem for found in sorted(self._folder.glob(f"*{_SUFFIX}"))[:_MOST_NAMED])
+        if not path.is_file():
+            known = ", ".join(self._names()[:_MOST_NAMED])
             raise UnknownSnapshot(f"name {name}: there is no such snapshot; there are: {known or 'none'}")
         return path
 
     def _free(self, name: str) -> Path:
         path = self._path(name)
-        if path.exists():
+        if path.is_file():
             raise NameTaken(f"name {name}: there is a snapshot of this name: delete it, or take another")
+        if path.exists():
+            raise NameTaken(f"name {name}: {path} is no file: take another name")
         return path
 
     def _path(self, name: str) -> Path:
@@ -159,10 +166,11 @@ class Snapshots:
             raise BadParameter(f"name {cut(name)!r}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
         return self._folder / f"{name}{_SUFFIX}"
 
-    def _listed(self, path: Path) -> SnapshotInfo | None:
-        """What is told of a file, None of one that is there no more."""
+    def _listed(self, name: str) -> SnapshotInfo | None:
+        """What is told of a snapshot, None of one that is there no more."""
+        path = self._path(name)
         try:
-            with told_as_damage(path, self._store), closing(open_file(path, writing=False)) as connection:
+            with told_as_damage(path, None), closing(open_file(path, writing=False)) as connection:
                 return _told(path, _state_in(connection))
         except FileNotFoundError:
             return None
@@ -173,7 +181,7 @@ class Snapshots:
 def _state_in(connection: sqlite3.Connection) -> StoredState:
     state = rows.read_state(connection)
     if state is None:
-        raise BadStore("it holds no map: delete this snapshot")
+        raise BadStore("it holds no map")
     return state
 
 
