@@ -20,7 +20,7 @@ from ogm_services.mapper.intake import caches as caches_module
 from ogm_services.mapper.intake import held as held_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
 from ogm_services.mapper.intake import robot_hold
-from ogm_services.mapper.intake.caches import Caches
+from ogm_services.mapper.intake.caches import Answer, Caches
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 
 KEYS = MapKeys("hall")
@@ -631,6 +631,40 @@ def test_a_cache_that_does_not_answer_holds_its_robot_for_three_questions(
     assert recorder.gone == [("s", "a", 2, [1, 2])]
     for query in kept:
         query.drop()
+
+
+def test_nobody_waits_for_robots_whose_caches_do_not_answer(
+    listener, recorder, cache, eventually, monkeypatch
+):
+    monkeypatch.setattr(hold_module, "ASKERS", 1)
+    asked, over, ask = [], threading.Event(), Caches.ask
+
+    def ask_in_vain(self, robot, keys, parameters, account):
+        if robot == "r":
+            return ask(self, robot, keys, parameters, account)
+        asked.append(robot)
+        if len(asked) > 2:  # each of them was asked once
+            over.wait(60.0)
+        return Answer(whole=False)
+
+    monkeypatch.setattr(Caches, "ask", ask_in_vain)
+    publisher = cache()
+    hold = HoldAndAsk(Caches(listener, KEYS, lambda _: 1000), recorder, recorder)
+    try:
+        for name in ("dead1", "dead2"):
+            take(hold, scan(0, name), scan(3, name), source=Source(name, "s"))
+        eventually(lambda: len(asked) == 3)
+        for seq in range(4):
+            publisher.put(scan(seq))
+        take(hold, scan(0), scan(3))
+        eventually(lambda: recorder.seqs() == [0, 1, 2, 3])
+        assert sorted(asked) in (["dead1", "dead1", "dead2"], ["dead1", "dead2", "dead2"])
+        over.set()
+        eventually(lambda: recorder.seqs(run="dead1") == recorder.seqs(run="dead2") == [0, 3])
+        assert sorted(asked) == ["dead1"] * 3 + ["dead2"] * 3
+    finally:
+        over.set()
+        hold.stop()
 
 
 def test_robots_and_sensors_past_the_limits_are_handed_on_to_be_refused(hold, recorder, asked):

@@ -29,7 +29,7 @@ LOOK_PERIOD = 0.5
 FROZEN = 1.5
 """If there is more than this between two looks, s, the mapper itself stood still: every robot is asked."""
 ASKERS = 16
-"""Robots that are asked at a time."""
+"""Robots that are asked at a time; and as many of those whose caches did not answer the last time."""
 SHARE = 0.25
 """What is being resumed takes this part of the queue, or one message of each robot."""
 PATIENCE = 10.0
@@ -58,8 +58,8 @@ class HoldAndAsk:
     that is there, or must be, and does not answer is asked again before anything of its robot is handed on.
 
     Threads: Zenoh's call `take`, which reads the head of a message and mostly hands it on; one looks every
-    LOOK_PERIOD; up to ASKERS ask, each for one robot. A robot's lock is held while one message of it is
-    handed on.
+    LOOK_PERIOD; up to ASKERS ask, each for one robot, and as many others ask those that did not answer the
+    last time: nobody else waits for them. A robot's lock is held while one message of it is handed on.
     """
 
     def __init__(self, caches: Caches, decided: Decided, intake: Intake) -> None:
@@ -71,6 +71,7 @@ class HoldAndAsk:
         self._bytes = HeldBytes()
         self._stopping = threading.Event()
         self._askers = ThreadPoolExecutor(ASKERS, "ogm-ask")
+        self._patient_askers = ThreadPoolExecutor(ASKERS, "ogm-ask-again")
         self._looker = threading.Thread(target=self._look_on, name="ogm-hold")
         self._looked = math.inf
         """When the looker looked last, s."""
@@ -91,7 +92,8 @@ class HoldAndAsk:
         self._caches.close()
         if self._looker.is_alive():
             self._looker.join()
-        self._askers.shutdown(wait=True, cancel_futures=True)
+        for askers in (self._askers, self._patient_askers):
+            askers.shutdown(wait=True, cancel_futures=True)
         for robot in self._robots.values():
             robot.forget()
 
@@ -177,21 +179,22 @@ class HoldAndAsk:
             if robot.at_work or self._stopping.is_set():
                 return
             robot.at_work = True
+        patient = robot.unanswered
         try:
-            self._askers.submit(self._work, robot)
+            (self._patient_askers if patient else self._askers).submit(self._work, robot, patient)
         except RuntimeError:  # it was stopped in between
             robot.at_work = False
 
-    def _work(self, robot: RobotHold) -> None:
+    def _work(self, robot: RobotHold, patient: bool) -> None:
         try:
             robot.hold()
             for _ in range(10):
                 if not robot.is_settling(time.monotonic(), SETTLING) or self._stopping.wait(SETTLING):
                     break
-            self._catch_up(robot)
+            self._catch_up(robot, patient)
         except Exception:
             log.exception("what %s has published could not be asked for", robot.name)
-            robot.again = False
+            robot.again, robot.fails = False, 0
             self._drain(robot, time.monotonic())
         finally:
             with self._lock:
@@ -199,29 +202,36 @@ class HoldAndAsk:
             if robot.again or robot.is_held:
                 self._ask(robot)
 
-    def _catch_up(self, robot: RobotHold) -> None:
-        """Ask, and hand on what is held, until nothing is missing and nothing is held."""
-        fails = 0
+    def _catch_up(self, robot: RobotHold, patient: bool) -> None:
+        """Ask, and hand on what is held, until nothing is missing and nothing is held.
+
+        One that does not answer is left to the patient askers.
+        """
+        if robot.fails:
+            self._stopping.wait(PAUSES[robot.fails - 1])
         while not self._stopping.is_set():
             robot.again, began = False, time.monotonic()
-            progress, whole = self._hand_on_backlog(robot, final=fails == ASKS - 1)
+            progress, whole = self._hand_on_backlog(robot, final=robot.fails == ASKS - 1)
             if self._stopping.is_set():
                 return
-            if not whole and (progress or fails < ASKS - 1):
+            if not whole and (progress or robot.fails < ASKS - 1):
                 robot.again = True  # it stays held, whether or not anything has come that is
             gap, handed_on = self._drain(robot)
             if self._stopping.is_set():
                 return
             if not progress and ((gap and not handed_on) or not whole):
                 if robot.may_come_back(time.monotonic()):
+                    robot.fails = 0
                     self._stopping.wait(PAUSES[0])
                     return  # it stays held, and is asked anew after others
-                fails += 1
-                if fails < ASKS:
-                    self._stopping.wait(PAUSES[fails - 1])
+                robot.fails += 1
+                if robot.fails < ASKS:
+                    if robot.unanswered and not patient:
+                        return
+                    self._stopping.wait(PAUSES[robot.fails - 1])
                     continue
                 self._drain(robot, began)
-            fails = 0
+            robot.fails = 0
             if not robot.is_held:
                 return
 
@@ -242,8 +252,9 @@ class HoldAndAsk:
                         return progress, False
                 if whole:
                     robot.answered = {source.sensor for source in backlog.sources}
+            robot.unanswered = False
         except Unanswered:
-            whole = False
+            whole, robot.unanswered = False, True
         return progress, whole
 
     def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:

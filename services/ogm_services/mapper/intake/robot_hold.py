@@ -53,6 +53,10 @@ class RobotHold:
         """Whether it is being asked, or about to be."""
         self.again = False
         """Whether it is to be asked once more."""
+        self.fails = 0
+        """How often in a row it was asked in vain for what is missing."""
+        self.unanswered = False
+        """Whether its caches did not answer when they were asked last."""
         self.answered: set[str | None] | None = None
         """Sensors, None for poses, whose caches had something when asked last; None: not all answered."""
         self._decided = decided
