@@ -1,7 +1,10 @@
 """`ogm repair`: what is intact goes into a new store, and what is not is told."""
 
+import errno
+import os
 import shutil
 import sqlite3
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -205,6 +208,43 @@ def test_what_cannot_be_repaired_or_written_is_named(tmp_path, story):
     with MapStore(tmp_path / "map"), pytest.raises(StoreInUse):
         repair(tmp_path / "map", tmp_path / "new")
     repair(tmp_path / "map", tmp_path / "new")
+
+
+@pytest.mark.parametrize("out", ["new", "snapshots/new"])
+def test_nothing_is_written_into_what_is_repaired(tmp_path, story, out):
+    folder = tmp_path / "map"
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(BadInput, match=f"--out {folder / out}: a folder that is not in {folder} is needed"):
+        repair(folder, folder / out)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_snapshot_that_cannot_be_read_is_told_and_the_others_are_there(tmp_path, story, monkeypatch):
+    folder, out = tmp_path / "map" / "snapshots", tmp_path / "new"
+    shutil.copy(folder / "one.sqlite", folder / "two.sqlite")
+    (folder / "cut.sqlite").write_bytes((folder / "one.sqlite").read_bytes()[:5000])
+    (folder / "folder.sqlite").mkdir()
+    os.utime(folder / "one.sqlite", ns=(1, 10**18))
+    read = Path.read_bytes
+
+    def read_badly(path):
+        if path.name == "two.sqlite":
+            raise OSError(errno.EIO, "Input/output error")
+        return read(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read_badly)
+    run = CliRunner().invoke(app, ["repair", str(tmp_path / "map"), "--out", str(out)])
+    assert run.exit_code == 0, run.output
+    assert run.output.splitlines()[1:] == [
+        "snapshots that cannot be read are not there: two",
+        "the map is exactly as it was stored",
+    ]
+    with MapStore(out) as store:
+        listed = {snapshot.name: snapshot for snapshot in store.snapshots.list()}
+        assert sorted(listed) == ["cut", "one"]
+        assert listed["one"].saved == 10**18
+        assert fingerprint(saved(store, "one", story.grid.settings)) == fingerprint(story.grid)
+    assert (out / "snapshots" / "cut.sqlite").stat().st_size == 5000
 
 
 def test_the_command_tells_what_it_has_saved_and_what_not(tmp_path, story):

@@ -22,6 +22,8 @@ def run_repair(folder: Path, out: Path) -> None:
 def report(repaired: Repaired, out: Path) -> list[str]:
     """What was saved and what was lost, line by line."""
     lines = [f"{out}: {repaired.tiles} tiles of the map at revision {repaired.revision}, under a new epoch"]
+    if repaired.snapshots:
+        lines.append(f"snapshots that cannot be read are not there: {', '.join(repaired.snapshots)}")
     if repaired.exact:
         lines.append("the map is exactly as it was stored")
         return lines

@@ -1,6 +1,7 @@
 """Repair of a damaged store: what is intact goes into a new one, and what is not is told."""
 
 import json
+import os
 import shutil
 import sqlite3
 import uuid
@@ -19,6 +20,7 @@ from ogm_core.errors import BadInput, BadStore
 from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.tiles.checkpoint import KeptTile, MapState
 from ogm_core.tiles.store import TILE
+from ogm_core.whole_files import write_files
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import OtherVersion, told_as_failure
@@ -26,7 +28,7 @@ from ogm_services.mapper.storage.folder_lock import FILE as LOCK
 from ogm_services.mapper.storage.folder_lock import FolderLock
 from ogm_services.mapper.storage.layout import FILE, created_file, open_file
 from ogm_services.mapper.storage.salvage import Salvage, salvage
-from ogm_services.mapper.storage.snapshots import FOLDER as SNAPSHOTS
+from ogm_services.mapper.storage.snapshots import Snapshots, snapshot_path
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Repaired:
     """Tiles that are lost, too, and nothing tells where they lay."""
     robots: tuple[str, ...]
     """Parts of the placing state that are lost."""
+    snapshots: tuple[str, ...]
+    """Those that could not be read."""
 
 
 def repair(folder: Path, out: Path) -> Repaired:
@@ -52,7 +56,7 @@ def repair(folder: Path, out: Path) -> Repaired:
     `folder` stays as it is. Tiles that are damaged become unknown.
 
     Raises:
-        BadInput: `folder` holds no store, or `out` is not empty.
+        BadInput: `folder` holds no store, or `out` is not empty, or lies in it.
         BadStore: nothing can be saved.
         StoreInUse: a mapper has one of the folders.
         DiskFull, StoreFails: the new store cannot be written.
@@ -61,12 +65,13 @@ def repair(folder: Path, out: Path) -> Repaired:
         raise BadInput(f"{folder}: there is no stored map, no file {FILE}")
     if out.exists() and not (out.is_dir() and {path.name for path in out.iterdir()} <= {LOCK}):
         raise BadInput(f"--out {out}: a folder that is empty, or not there yet, is needed")
+    if folder.resolve() in out.resolve().parents:
+        raise BadInput(f"--out {out}: a folder that is not in {folder} is needed")
     with FolderLock(folder), FolderLock(out), told_as_failure(out):
         with TemporaryDirectory(dir=out) as scratch:
             found = _best_of(folder, Path(scratch))
         state = _write(found, out / FILE)
-        if (folder / SNAPSHOTS).is_dir():
-            shutil.copytree(folder / SNAPSHOTS, out / SNAPSHOTS)
+        lost = tuple(_copied_snapshots(folder, out))
     return Repaired(
         tiles=len(found.tiles),
         revision=state.revision,
@@ -74,7 +79,23 @@ def repair(folder: Path, out: Path) -> Repaired:
         damaged=tuple(_regions(found)),
         nameless=found.nameless_tiles,
         robots=tuple(sorted(found.damaged_parts)),
+        snapshots=lost,
     )
+
+
+def _copied_snapshots(folder: Path, out: Path) -> Iterator[str]:
+    """Copy every snapshot as it is, damaged or not; the names of those that cannot be read."""
+    for name in Snapshots(folder).names():
+        path = snapshot_path(folder, name)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            yield name
+            continue
+        copy = snapshot_path(out, name)
+        copy.parent.mkdir(exist_ok=True)
+        write_files({copy: content})
+        os.utime(copy, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns))
 
 
 def _best_of(folder: Path, scratch: Path) -> Salvage:

@@ -105,9 +105,15 @@ class Snapshots:
             for path in self._folder.glob(unfinished(f"*{_SUFFIX}")):
                 path.unlink()
 
+    def names(self) -> tuple[str, ...]:
+        """Of every snapshot; whatever else lies in the folder is none, and nobody opens it."""
+        ends = len(_SUFFIX)
+        found = [path.name[:-ends] for path in self._folder.glob(f"*{_SUFFIX}") if path.is_file()]
+        return tuple(sorted(name for name in found if NAME.fullmatch(name)))
+
     def list(self) -> list[SnapshotInfo]:
         """Every snapshot, by name."""
-        found = (self._listed(name) for name in self._names())
+        found = (self._listed(name) for name in self.names())
         return [snapshot for snapshot in found if snapshot is not None]
 
     @contextmanager
@@ -140,16 +146,10 @@ class Snapshots:
             path.unlink(missing_ok=True)  # somebody else may just have done it
             flush_folder(self._folder)
 
-    def _names(self) -> tuple[str, ...]:
-        """Of every snapshot; whatever else lies in the folder is none, and nobody opens it."""
-        ends = len(_SUFFIX)
-        found = [path.name[:-ends] for path in self._folder.glob(f"*{_SUFFIX}") if path.is_file()]
-        return tuple(sorted(name for name in found if NAME.fullmatch(name)))
-
     def _existing(self, name: str) -> Path:
         path = self._path(name)
         if not path.is_file():
-            known = ", ".join(self._names()[:_MOST_NAMED])
+            known = ", ".join(self.names()[:_MOST_NAMED])
             raise UnknownSnapshot(f"name {name}: there is no such snapshot; there are: {known or 'none'}")
         return path
 
@@ -164,7 +164,7 @@ class Snapshots:
     def _path(self, name: str) -> Path:
         if not NAME.fullmatch(name):
             raise BadParameter(f"name {cut(name)!r}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
-        return self._folder / f"{name}{_SUFFIX}"
+        return snapshot_path(self._store, name)
 
     def _listed(self, name: str) -> SnapshotInfo | None:
         """What is told of a snapshot, None of one that is there no more."""
@@ -176,6 +176,11 @@ class Snapshots:
             return None
         except OgmError as error:
             return _told(path, None, str(error)) if path.exists() else None
+
+
+def snapshot_path(store: Path, name: str) -> Path:
+    """Where the snapshot of a name is, or would be, in a store's folder."""
+    return store / FOLDER / f"{name}{_SUFFIX}"
 
 
 def _state_in(connection: sqlite3.Connection) -> StoredState:
