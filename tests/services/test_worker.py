@@ -13,6 +13,7 @@ from ogm_services.mapper.intake import worker as worker_module
 from ogm_services.mapper.intake.queue import MAX_WORK, Message, ScanQueue
 from ogm_services.mapper.intake.work import SLOW_RATE
 from ogm_services.mapper.intake.worker import LOOK_PERIOD, Worker
+from ogm_services.replies.answer import Unavailable
 
 LASER = Source("r", "s")
 COUNT = 500
@@ -73,6 +74,26 @@ class Looks:
 
     def expire(self, _now):
         self.looks += 1
+
+
+def test_a_command_that_was_refused_because_it_had_to_wait_is_not_done_later(receipts):
+    """Whoever is told to try again later may do something else instead."""
+    done, begun, go_on = [], threading.Event(), threading.Event()
+    worker = Worker(ScanQueue(10), ScanPlacer(None, receipts, lambda *_: None), receipts, max_beams=10)
+    worker.start()
+    try:
+        blocked = threading.Thread(target=worker.do, args=(lambda: (begun.set(), go_on.wait(60.0)),))
+        blocked.start()
+        assert begun.wait(60.0)
+        with pytest.raises(Unavailable, match="too busy: try again later"):
+            worker.do(lambda: done.append("late"), timeout=0.0)
+        go_on.set()
+        blocked.join()
+        worker.do(lambda: done.append("next"))
+    finally:
+        go_on.set()
+        worker.stop()
+    assert done == ["next"]
 
 
 def test_a_worker_that_has_stood_still_gives_nothing_up_at_once(receipts, eventually, monkeypatch):

@@ -78,24 +78,25 @@ class Worker:
         """Run `command` on the worker's thread, after every message that came before; wait until it is done.
 
         Raises:
-            Unavailable: it was not begun in time, or the worker has stopped; it may still be done.
+            Unavailable: it was not begun in time, or the worker has stopped; it is not done any more.
         """
         outcome: Future[None] = Future()
 
         def run() -> None:
+            if not outcome.set_running_or_notify_cancel():
+                return
             try:
                 command()
-            except Exception as error:
+            except BaseException as error:
                 outcome.set_exception(error)
                 raise
             outcome.set_result(None)
 
         deadline = time.monotonic() + timeout
         self._queue.put(Message(None, b"", time.monotonic(), run))
-        while not outcome.done():
-            if not self.alive or time.monotonic() >= deadline:
+        while not wait([outcome], LOOK_PERIOD).done:
+            if (not self.alive or time.monotonic() >= deadline) and outcome.cancel():
                 raise Unavailable("the mapper is stopping, or too busy: try again later")
-            wait([outcome], LOOK_PERIOD)
         outcome.result()
 
     def _run(self) -> None:
