@@ -63,6 +63,7 @@ class BasePoses:
         self.counts: Counter[str] = Counter()
         self._tree, self._frames = tree, frames
         self._last: int | None = None
+        self._restarts = 0
 
     def take(self) -> list[tuple[int, Pose]]:
         """The poses that can be told by now and were not given yet, with their stamps, ns.
@@ -77,8 +78,9 @@ class BasePoses:
         edge = None if anchor is None else tree.edge(anchor)
         if edge is None or edge.newest is None:
             return []
-        if self._last is not None and edge.newest < self._last - SPAN_NS:
+        if edge.restarts > self._restarts or (self._last is not None and edge.newest < self._last - SPAN_NS):
             self._last = None
+        self._restarts = edge.restarts
         found = []
         for stamp in edge.stamps_after(self._last):
             try:

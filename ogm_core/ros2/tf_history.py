@@ -9,6 +9,11 @@ from ogm_core.ros2.transform import Transform
 
 SPAN_NS = 30_000_000_000
 """Older samples are forgotten; one that is older still tells that the clock went back, ns."""
+LATE_IN_A_ROW = 5
+"""So many samples in a row, each later than the one before, tell so, too, if all are LATE_NS old: a simulator
+or a recording that begins again after a few seconds."""
+LATE_NS = 1_000_000_000
+"""No network brings samples so much out of order, ns."""
 MAX_SAMPLES = 4096
 """So many are kept at most."""
 _SAMPLE = Struct("7d")
@@ -23,11 +28,15 @@ class TfHistory:
     Two samples of one stamp: the first stays, as something may have been told by it.
     """
 
-    __slots__ = ("_floats", "_stamps", "_start", "parent", "static")
+    __slots__ = ("_floats", "_late", "_stamps", "_start", "parent", "restarts", "static")
 
     def __init__(self, parent: str, *, static: bool) -> None:
         self.parent = parent
         self.static = static
+        self.restarts = 0
+        """How often the clock went back."""
+        self._late: list[tuple[int, Transform]] = []
+        """Samples in a row that came long after a later one."""
         self._stamps = array("q")
         self._floats = array("d")
         self._start = 0
@@ -49,25 +58,24 @@ class TfHistory:
         """Keep a sample; what is to be said of it, if it is no usual one.
 
         "reordered": there is a later one. "repeated": there is one of this stamp, which stays. "restarted":
-        it lies so far back that the clock must have been set; all before is forgotten.
+        it, or LATE_IN_A_ROW of them, lie so that the clock must have been set; all before is forgotten.
         """
         stamps = self._stamps
         if self.static:
             self._forget()
-        elif stamps and stamp <= (newest := stamps[-1]):
-            if stamp < newest - SPAN_NS:
-                self._forget()
-                self._append(stamp, transform)
-                return "restarted"
-            n = bisect_left(stamps, stamp, self._start)
-            if stamps[n] == stamp:
-                return "repeated"
-            stamps.insert(n, stamp)
-            self._floats[n * _FLOATS : n * _FLOATS] = array("d", transform)
-            self._bound()
-            return "reordered"
+        elif stamps and stamp < stamps[-1]:
+            return self._earlier(stamp, transform)
+        elif stamps and stamp == stamps[-1]:
+            return "repeated"
+        self._late.clear()
         self._append(stamp, transform)
         return None
+
+    def restart(self) -> None:
+        """Forget all, as the clock of what is told went back."""
+        self._forget()
+        self._late.clear()
+        self.restarts += 1
 
     def at(self, stamp: int, gap_ns: float, hold_ns: float) -> Transform:
         """The transform at `stamp`; a static edge's is the same at all times.
@@ -84,6 +92,8 @@ class TfHistory:
             return self._sample(start)
         after = bisect_left(stamps, stamp, start)
         if after == len(stamps):
+            if after == start:
+                raise NoTransformYet("no sample has come since the clock went back", "newest")
             if stamp - stamps[-1] <= hold_ns:
                 return self._sample(after - 1)
             raise NoTransformYet(f"its newest sample is {(stamp - stamps[-1]) / 1e9:.3f} s older", "newest")
@@ -98,6 +108,27 @@ class TfHistory:
         if stamp - stamps[before] <= hold_ns:
             return one
         raise NoTransform(f"it has a gap of {between / 1e9:.3f} s then (pose_gap: {gap_ns / 1e9:g} s)", "gap")
+
+    def _earlier(self, stamp: int, transform: Transform) -> str:
+        """Keep a sample that there is a later one of."""
+        stamps, late = self._stamps, self._late
+        if stamp > stamps[-1] - LATE_NS or (late and stamp <= late[-1][0]):
+            late.clear()
+        if stamp <= stamps[-1] - LATE_NS:
+            late.append((stamp, transform))
+        if stamp < stamps[-1] - SPAN_NS or len(late) == LATE_IN_A_ROW:
+            kept = late.copy()
+            self.restart()
+            for each in kept:
+                self._append(*each)
+            return "restarted"
+        n = bisect_left(stamps, stamp, self._start)
+        if stamps[n] == stamp:
+            return "repeated"
+        stamps.insert(n, stamp)
+        self._floats[n * _FLOATS : n * _FLOATS] = array("d", transform)
+        self._bound()
+        return "reordered"
 
     def _sample(self, n: int) -> Transform:
         return Transform(*_SAMPLE.unpack_from(self._floats, n * _SAMPLE.size))

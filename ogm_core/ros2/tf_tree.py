@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from ogm_core.errors import MAX_SHOWN, BadMessage, NoTransform, NoTransformYet, cut, printable
 from ogm_core.placing.rules import POSE_GAP
 from ogm_core.ros2.cdr import StampedTransform
-from ogm_core.ros2.tf_history import TfHistory
+from ogm_core.ros2.tf_history import LATE_NS, TfHistory
 from ogm_core.ros2.transform import IDENTITY, Transform, unit
 
 TF_HOLD = 1.0
@@ -27,8 +27,7 @@ class TfTree:
     Of static edges the newest holds, whoever sends it. A frame whose parent changes, or that becomes static
     or moves after all, forgets where it was. `counts` tells what was refused ("no_name", "own_parent",
     "bad_transform", "too_many_frames") or unusual: "reparented", "reordered" (a sample came after a later
-    one), "repeated" (a stamp, whose first sample stays), "restarted" (a clock went back by more than is
-    kept).
+    one), "repeated" (a stamp, whose first sample stays), "restarted" (a clock went back).
     """
 
     def __init__(self, *, pose_gap: float = POSE_GAP, tf_hold: float = TF_HOLD) -> None:
@@ -65,6 +64,8 @@ class TfTree:
             unusual = edge.add(stamp, transform)
             if unusual is not None:
                 self.counts[unusual] += 1
+            if unusual == "restarted":
+                self._restart_above(parent, stamp)
 
     def path(self, frame: str) -> tuple[str, ...]:
         """The frames from `frame` up to its root, both included.
@@ -129,6 +130,15 @@ class TfTree:
             edge = self._edges[child] = TfHistory(parent, static=static)
             return edge
         return None
+
+    def _restart_above(self, frame: str, stamp: int) -> None:
+        """Forget what moving edges from a frame up told before the clock below went back to `stamp`."""
+        seen: set[str] = set()
+        while (edge := self._edges.get(frame)) is not None and frame not in seen:
+            seen.add(frame)
+            if not edge.static and edge.newest is not None and edge.newest > stamp + LATE_NS:
+                edge.restart()
+            frame = edge.parent
 
     def _below(self, fixed: str, frame: str) -> tuple[str, ...]:
         """The frames from `frame` up to the one whose parent is `fixed`."""

@@ -257,6 +257,30 @@ def test_a_clock_that_is_set_back_begins_anew():
     missing(tree, "odom", "base", late, later=True)
 
 
+def test_a_clock_that_is_set_back_by_seconds_begins_anew_with_the_fifth_late_sample():
+    """As where a simulator or a recording begins again: the same stamps, another way."""
+    moving = [edge(n * 100 * MS, "odom", "base", at(x=n)) for n in range(50)]
+    tree = tree_of(edge(4 * S, "map", "odom", at(y=1)), *moving)
+    tree.add([edge(n * 100 * MS, "odom", "base", at(x=-n)) for n in range(4)])
+    assert tree.lookup("odom", "base", 200 * MS).x == 2.0
+    tree.add([edge(400 * MS, "odom", "base", at(x=-4))])
+    assert tree.counts == {"repeated": 4, "restarted": 1}
+    assert tree.lookup("odom", "base", 250 * MS).x == -2.5
+    missing(tree, "odom", "base", 4 * S, later=True)
+    # What is above was told by the clock of before.
+    assert missing(tree, "map", "base", 200 * MS, later=True).endswith("since the clock went back")
+    tree.add([edge(0, "map", "odom", at(y=2)), edge(S, "map", "odom", at(y=2))])
+    assert tree.lookup("map", "base", 200 * MS).y == 2.0
+
+
+@pytest.mark.parametrize("stamps", [(45, 45, 44, 43, 44, 45, 46, 47), (10, 11, 12, 13, 50, 14, 15, 16)])
+def test_a_few_late_samples_are_no_clock_that_went_back(stamps):
+    tree = tree_of(*(edge(n * 100 * MS, "odom", "base", at(x=n)) for n in range(50)))
+    tree.add([edge(n * 100 * MS, "odom", "base", at(x=-n)) for n in stamps])
+    assert tree.counts["restarted"] == 0
+    assert tree.lookup("odom", "base", 49 * 100 * MS).x == 49.0
+
+
 @pytest.mark.parametrize(
     ("what", "given"),
     [

@@ -100,6 +100,23 @@ def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network,
     assert found.counts == {"domain0/scan": {"sent": 2}}
 
 
+def test_a_clock_that_goes_back_by_seconds_has_poses_at_its_new_stamps(gateway, network):
+    """A simulator or a recording that begins again, before the old stamps are forgotten."""
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    for n in range(60):
+        driver.drive(n)
+    found.until(lambda: len(found.sent.poses.get("domain0", ())) == 60)
+    driver.speed, driver.start = 3.0, 7.0
+    for n in range(10):
+        driver.drive(n)
+    found.until(lambda: len(found.sent.poses["domain0"]) == 70)
+    again = found.sent.poses["domain0"][60:]
+    assert [pose.stamp for pose in again] == [n * 100 * MS for n in range(10)]
+    assert [pose.pose for pose in again] == [Pose(pytest.approx(n * 0.3), 7.0, 0.0) for n in range(10)]
+
+
 def test_three_robots_with_namespaces_are_not_mixed(gateway, network):
     drivers = {
         f"r{n}": Driver(
