@@ -6,6 +6,7 @@ A lookup walks up from a frame, since every frame has one parent but may have ma
 
 from collections import Counter
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from ogm_core.errors import MAX_SHOWN, BadMessage, NoTransform, NoTransformYet, cut, printable
 from ogm_core.placing.rules import POSE_GAP
@@ -19,6 +20,13 @@ MAX_FRAMES = 512
 """Frames with a parent; others are refused."""
 MAX_FRAME_NAME = 256
 _FRAMES_SHOWN = 20
+
+
+class Complaint(NamedTuple):
+    """What is wrong with a transform: `what` is a word of `TfTree.counts`, the text names both frames."""
+
+    what: str
+    text: str
 
 
 class TfTree:
@@ -47,25 +55,29 @@ class TfTree:
         """The names of all frames, sorted."""
         return sorted({name for child, edge in self._edges.items() for name in (child, edge.parent)})
 
-    def add(self, transforms: Iterable[StampedTransform], *, static: bool = False) -> None:
-        """Take in a message of /tf, or of /tf_static."""
-        edges = self._edges
+    def add(self, transforms: Iterable[StampedTransform], *, static: bool = False) -> list[Complaint]:
+        """Take in a message of /tf, or of /tf_static; what is to be said of it."""
+        edges, complaints = self._edges, list[Complaint]()
         for stamp, parent, child, given in transforms:
             try:
                 transform = unit(given)
-            except BadMessage:
-                self.counts["bad_transform"] += 1
+            except BadMessage as error:
+                complaints.append(self._complaint("bad_transform", parent, child, str(error)))
                 continue
             edge: TfHistory | None = edges.get(child)
             if edge is None or edge.parent != parent or edge.static != static:
-                edge = self._new_edge(edge, parent, child, static)
-                if edge is None:
+                complaint = self._new_edge(edge, parent, child, static)
+                if complaint is not None:
+                    complaints.append(complaint)
+                edge = edges.get(child)
+                if edge is None or edge.parent != parent:
                     continue
             unusual = edge.add(stamp, transform)
             if unusual is not None:
                 self.counts[unusual] += 1
             if unusual == "restarted":
                 self._restart_above(parent, stamp)
+        return complaints
 
     def path(self, frame: str) -> tuple[str, ...]:
         """The frames from `frame` up to its root, both included.
@@ -115,21 +127,25 @@ class TfTree:
                 hold_ns = self._hold_ns
         return found
 
-    def _new_edge(self, old: TfHistory | None, parent: str, child: str, static: bool) -> TfHistory | None:
-        """A frame's place in the tree, from now on; None, and counted, if it cannot have it."""
+    def _new_edge(self, old: TfHistory | None, parent: str, child: str, static: bool) -> Complaint | None:
+        """Give a frame its place in the tree, from now on; what is wrong with that."""
         if not (0 < len(parent) <= MAX_FRAME_NAME and 0 < len(child) <= MAX_FRAME_NAME):
-            self.counts["no_name"] += 1
-        elif parent == child:
-            self.counts["own_parent"] += 1
-        elif old is None and len(self._edges) >= MAX_FRAMES:
-            self.counts["too_many_frames"] += 1
-        else:
-            if old is not None and old.parent != parent:
-                self.counts["reparented"] += 1
-            self._paths.clear()
-            edge = self._edges[child] = TfHistory(parent, static=static)
-            return edge
-        return None
+            text = f"names of frames have 1 to {MAX_FRAME_NAME} characters"
+            return self._complaint("no_name", parent, child, text)
+        if parent == child:
+            return self._complaint("own_parent", parent, child, "a frame cannot be its own parent")
+        if old is None and len(self._edges) >= MAX_FRAMES:
+            return self._complaint("too_many_frames", parent, child, f"{MAX_FRAMES} frames are kept")
+        self._paths.clear()
+        self._edges[child] = TfHistory(parent, static=static)
+        if old is None or old.parent == parent:
+            return None
+        text = f"its parent was {_shown(old.parent)} before; a frame has one: do two nodes publish it?"
+        return self._complaint("reparented", parent, child, text)
+
+    def _complaint(self, what: str, parent: str, child: str, text: str) -> Complaint:
+        self.counts[what] += 1
+        return Complaint(what, f"{_shown(parent)} -> {_shown(child)}: {text}")
 
     def _restart_above(self, frame: str, stamp: int) -> None:
         """Forget what moving edges from a frame up told before the clock below went back to `stamp`."""
@@ -172,6 +188,8 @@ class TfTree:
 
 
 def _shown(name: str) -> str:
+    if not name:
+        return "'' (empty)"
     return cut(printable(name)) if len(name) > MAX_SHOWN or not name.isprintable() else name
 
 

@@ -300,7 +300,8 @@ def test_a_few_late_samples_are_no_clock_that_went_back(stamps):
 @pytest.mark.parametrize("static", [False, True])
 def test_what_is_no_transform_is_counted_and_changes_nothing(what, given, static):
     tree = driven()
-    tree.add([given], static=static)
+    [complaint] = tree.add([given], static=static)
+    assert complaint.what == what
     assert tree.counts == {what: 1}
     assert tree.lookup("odom", "base", 150 * MS).x == pytest.approx(0.15)
     assert tree.frames == ["base", "laser", "map", "odom"]

@@ -133,6 +133,36 @@ def test_what_is_not_what_its_topic_says_is_counted(gateway, network, caplog):
     assert "are not a sensor_msgs/msg/LaserScan" in caplog.text
 
 
+def test_what_is_wrong_with_transforms_is_told(gateway, network, caplog):
+    """Else the robot's owner would hear of a missing frame, which is there for all to see."""
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    driver.static(naive_cdr.tf_message([(0, "base_link", "rear", (0.0,) * 7)]))
+    driver.tf(naive_cdr.tf_message([(0, "base_link", "", planar(0.0, 0.0, 0.0))]))
+    found.until(lambda: found.counts.get("/tf_static") and found.counts.get("/tf"))
+    driver.tf(naive_cdr.tf_message([(0, "base_footprint", "laser", planar(0.0, 0.0, 0.0))]))
+    found.until(lambda: len(found.counts["/tf"]) == 2)
+    assert found.counts == {"/tf_static": {"bad_transform": 1}, "/tf": {"no_name": 1, "reparented": 1}}
+    assert "base_link -> rear: rotation: a quaternion (x, y, z, w) of length 1 is needed" in caplog.text
+    assert "base_link -> '' (empty): names of frames have 1 to 256 characters" in caplog.text
+    assert "base_footprint -> laser: its parent was base_link before" in caplog.text
+
+
+def test_a_pose_in_no_frame_is_refused(gateway, network, caplog):
+    robot = RmwZenohRobot(network(), namespace="/r1")
+    poses, scans = robot.publisher("/r1/odom", "Odometry"), robot.publisher("/r1/scan", "LaserScan")
+    found = gateway(options=Ros2Options(pose_topics=("/r1/odom",), mount=Pose(0.5, 0.0, 1.0)))
+    found.until(lambda: poses.matching() and scans.matching())
+    poses(naive_cdr.odometry(0, "", "base", planar(1.0, 1.0, 0.25)))
+    found.until(lambda: found.counts == {"/r1/odom": {"malformed": 1}})
+    assert "its frame_id is empty" in caplog.text
+    scans(naive_cdr.laser_scan(S, "laser", (-0.5, 0.5, 0.5, 0, 0.1, 0.1, 10.0), RANGES))
+    poses(naive_cdr.odometry(S, "map", "base", planar(1.0, 1.0, 0.25)))
+    found.until(lambda: len(found.sent.scans.get("r1/scan", ())) == 1)
+    assert [pose.stamp for pose in found.sent.poses["r1"]] == [S]
+
+
 def test_a_name_that_two_robots_have_is_the_firsts(gateway, network, caplog):
     drivers = [
         Driver(RmwZenohRobot(network(), namespace="/r"), topics="/r"),

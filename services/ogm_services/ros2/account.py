@@ -19,7 +19,7 @@ class Account:
         self._of(source)[SENT] += 1
 
     def dropped(self, source: str, reason: str, text: str, kind: str | None = None) -> None:
-        """A message was not used; `kind`: complaints of one kind are told together."""
+        """A message, or a part of it, was not used; `kind`: complaints of one kind are told together."""
         self._of(source)[reason] += 1
         self._log.of_kind(source, kind or reason, f"{reason}: {text}")
 

@@ -174,10 +174,7 @@ class Gateway:
         return self._poses_in(number, longest_namespace(topic.name, namespaces) or "")
 
     def _transforms(self, poses: TfPoses | TopicPoses, topic: Topic, payload: bytes) -> None:
-        if isinstance(poses, TfPoses):
-            poses.add(payload, static=topic.last == TF_STATIC)
-        else:
-            poses.add(payload, topic)
+        poses.add(payload, topic)
         self._advance_all()
 
     def _scan(self, number: int, feed: SensorFeed, payload: bytes) -> None:

@@ -7,6 +7,7 @@ from ogm_core.ros2.base_poses import BasePoses, RobotFrames, robot_frames
 from ogm_core.ros2.cdr import LaserScan, PointCloud2, decode_tf_message
 from ogm_core.ros2.robot_names import prefix_of, robot_name, sensor_name
 from ogm_core.ros2.tf_tree import TfTree
+from ogm_core.ros2.topics import TF_STATIC, Topic
 from ogm_core.ros2.transform import Transform
 from ogm_services.ros2.account import Account
 from ogm_services.ros2.mapped_robot import MappedRobot
@@ -51,13 +52,14 @@ class TfPoses:
         self._mapless: dict[str, float] = {}
         """Since when a robot's tf has led to its odometry only, s; by prefix."""
 
-    def add(self, payload: bytes, *, static: bool) -> None:
+    def add(self, payload: bytes, topic: Topic) -> None:
         """Take in a message of /tf, or of /tf_static.
 
         Raises:
             BadCdr: it is none.
         """
-        self._tree.add(decode_tf_message(payload), static=static)
+        for what, text in self._tree.add(decode_tf_message(payload), static=topic.last == TF_STATIC):
+            self._account.dropped(topic.name, what, text)
 
     def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
         """Whose sensor a message is of; `now` in s."""

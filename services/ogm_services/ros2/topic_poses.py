@@ -29,7 +29,7 @@ class TopicPoses:
         self._name = robot_name(namespace, "", otherwise)
         self._robots, self._account, self._options = robots, account, options
         self._robot: MappedRobot | None = None
-        self._fixed = ""
+        self._fixed: str | None = None
         self._told_by: str | None = None
 
     def add(self, payload: bytes, topic: Topic) -> None:
@@ -53,10 +53,11 @@ class TopicPoses:
 
     def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
         """Whose sensor a message is of."""
-        if not self._fixed:
-            raise NoTransformYet(f"no pose has come yet on {', '.join(self._options.pose_topics)}", "no pose")
+        if self._fixed is None:
+            topics = ", ".join(self._options.pose_topics)
+            raise NoTransformYet(f"no pose that can be used has come yet on {topics}", "no pose")
         if self._robot is None:
-            self._robot = self._take_on()
+            self._robot = self._take_on(self._fixed)
         return Mounted(self._robot, sensor_name(feed.topic.name, self._namespace, self._name))
 
     def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
@@ -73,13 +74,15 @@ class TopicPoses:
         """Nothing: they are sent as they come."""
 
     def _send(self, pose: StampedPose) -> None:
+        if not pose.frame:
+            raise BadMessage("its frame_id is empty: which frame is the pose in?")
         if pose.frame != self._fixed:
             self._fixed, self._robot = pose.frame, None
         if self._robot is None:
-            self._robot = self._take_on()
+            self._robot = self._take_on(pose.frame)
         self._robot.send_pose(pose.stamp, unit(pose.transform).planar())
 
-    def _take_on(self) -> MappedRobot:
-        odometry = self._fixed.rpartition("/")[2] == self._options.odom_frame
+    def _take_on(self, fixed: str) -> MappedRobot:
+        odometry = fixed.rpartition("/")[2] == self._options.odom_frame
         key = RobotKey(self._where, self._namespace, "")
-        return self._robots.take_on(key, self._name, self._fixed, odometry=odometry)
+        return self._robots.take_on(key, self._name, fixed, odometry=odometry)
