@@ -14,6 +14,7 @@ from ogm_core.ros2.topics import Topic
 from ogm_core.types import Pose
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.sensor_feed import SensorFeed
+from ogm_services.ros2.tf_poses import TfPoses
 from ros2_robots import BridgeRobot, RmwZenohRobot
 
 
@@ -125,6 +126,21 @@ def test_three_robots_with_namespaces_are_not_mixed(gateway, network):
         for n in (1, 2, 3)
     }
     check_three(gateway(), drivers)
+
+
+def test_what_a_robot_says_costs_no_look_at_all_others(gateway, network, monkeypatch):
+    """With fifty robots these looks took most of the time."""
+    drivers = [Driver(RmwZenohRobot(network(), namespace=f"/r{n}"), topics=f"/r{n}") for n in (1, 2, 3)]
+    found = gateway()
+    found.until(all_heard(*drivers))
+    asked, send_poses = [], TfPoses.send_poses
+    monkeypatch.setattr(TfPoses, "send_poses", lambda self: asked.append(self) or send_poses(self))
+    monkeypatch.setattr(found.work, "_next_look", math.inf)
+    drivers[1].drive(0, scan=False)
+    its_own = found.work._poses[0, "/r2"]
+    while not asked:
+        found.work.step(30.0)
+    assert asked == [its_own]
 
 
 def test_three_robots_with_prefixed_frames_in_one_tf_are_not_mixed(gateway, network):
