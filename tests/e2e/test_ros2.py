@@ -75,6 +75,14 @@ def test_topics_are_listed(ogm, robot, endpoint):
     assert scan["qos"] == {"reliable": False, "transient_local": False, "depth": 5}
 
 
+def test_a_list_of_what_nobody_answers_for_ends(ogm, endpoint):
+    ended = ogm.run("ros2", "--list", "--json", "--zenoh", endpoint)
+    assert ended.complaint(1).startswith(
+        f"ogm: cannot connect to {endpoint}: does the router of rmw_zenoh, or a "
+        "zenoh-bridge-ros2dds, run on the robot"
+    )
+
+
 def test_a_map_is_not_published_on_another_nodes_topic(ogm, robot, endpoint):
     robot.publisher("/map", "OccupancyGrid", latched=True)
     ended = ogm.run("ros2", "--zenoh", endpoint, "--connect", endpoint, "--publish-map", "/map")

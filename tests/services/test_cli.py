@@ -180,6 +180,15 @@ def one_line(result, code):
             "--publish-map: a topic's full name such as /ogm/map is needed, got 'map'",
         ),
         ("ros2 --dds --publish-map /a --publish-probabilities /a", "two topics are needed"),
+        (
+            "ros2 --dds --publish-map /a --publish-probabilities /a_updates",
+            "would be /a, /a_updates, /a_updates",
+        ),
+        (
+            "ros2 --dds --map-frame /map",
+            "--map-frame: a frame's name without / before it is needed, got '/map'",
+        ),
+        ("ros2 --dds --odom-frame=", "--odom-frame: a frame's name without / before it is needed, got ''"),
         ("ros2 --dds --robot r:origin=1", "robots.origin: three finite numbers X,Y,THETA"),
         ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
         ("replay x.log --speed 0", "--speed"),

@@ -213,9 +213,10 @@ def test_a_map_that_does_not_change_is_not_fetched_again(publisher, mapper, monk
     eventually(lambda: (asked["trinary"], asked["probabilities"]) == (2, 2))
 
 
-def test_a_topic_of_another_node_is_not_taken(publisher, network, eventually):
+@pytest.mark.parametrize("topic", ["/map", "/map_updates"])
+def test_a_topic_of_another_node_is_not_taken(publisher, network, eventually, topic):
     robot = RmwZenohRobot(network(), node="slam_toolbox")
-    robot.publisher("/map", "OccupancyGrid", latched=True)
+    robot.publisher(topic, "OccupancyGrid", latched=True)
     eventually(lambda: publisher.sources[0].topics())
     running = publisher(trinary="/map")
 
@@ -227,7 +228,7 @@ def test_a_topic_of_another_node_is_not_taken(publisher, network, eventually):
         return None
 
     text = eventually(taken)
-    assert text.startswith("/map: /slam_toolbox publishes it already (rmw_zenoh here, domain 0)")
+    assert text.startswith(f"{topic}: /slam_toolbox publishes it already (rmw_zenoh here, domain 0)")
     assert "such as /ogm/map" in text
     assert [topic for topic in publisher.sources[0].topics() if topic.node == "/ogm"] == []
 

@@ -9,9 +9,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
 import typer
+import zenoh
 
+from ogm_client.errors import CannotConnect
 from ogm_client.robot import RobotPublisher
-from ogm_client.session import NetworkConfig, open_session
+from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session
 from ogm_core.errors import BadInput, BadSetting
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.ros2.cdr import check_installed
@@ -23,7 +25,7 @@ from ogm_services.ros2.dds import DdsSource
 from ogm_services.ros2.dds_config import chosen_interface
 from ogm_services.ros2.gateway import Gateway, NamedSource
 from ogm_services.ros2.map_fetch import MapFetch
-from ogm_services.ros2.map_publisher import MapPublisher
+from ogm_services.ros2.map_publisher import MapPublisher, updates_topic
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
@@ -65,12 +67,12 @@ class Networks:
 
 
 @contextmanager
-def open_sources(networks: Networks) -> Iterator[list[NamedSource]]:
-    """Join the networks; what is joined is said.
+def open_sources(networks: Networks, timeout: float = math.inf) -> Iterator[list[NamedSource]]:
+    """Join the networks; what is joined is said. Each endpoint is waited for, for `timeout`, s.
 
     Raises:
         BadSetting, MissingExtra: one cannot be joined.
-        CannotConnect: a host is unknown.
+        CannotConnect: a host is unknown, or nothing takes connections there in time.
     """
     with ExitStack() as opening:
         found: list[NamedSource] = []
@@ -79,8 +81,7 @@ def open_sources(networks: Networks) -> Iterator[list[NamedSource]]:
             found.append(NamedSource(DdsSource(domain, interface), f"domain{domain}"))
             opening.callback(found[-1].source.close)
         for endpoint in networks.zenoh:
-            config = NetworkConfig(connect=(endpoint,), connect_timeout=math.inf)
-            session = opening.enter_context(open_session(config))
+            session = opening.enter_context(_session_with_robots(endpoint, timeout))
             where = f"at {masked(endpoint)}"
             host = f"{_host(endpoint)}." if len(networks.zenoh) > 1 else ""
             for domain in networks.domains:
@@ -95,7 +96,7 @@ def open_sources(networks: Networks) -> Iterator[list[NamedSource]]:
 
 def list_topics(networks: Networks, *, as_json: bool) -> None:
     """Print the topics that are published, after listening for a moment."""
-    with open_sources(networks) as sources:
+    with open_sources(networks, CONNECT_TIMEOUT) as sources:
         time.sleep(LISTEN)
         topics = [
             (source.where, topic)
@@ -125,8 +126,13 @@ class Published:
         }.items():
             if name is not None:
                 check_topic(name, flag)
-        if self.trinary is not None and self.trinary == self.probabilities:
-            raise BadSetting("--publish-map, --publish-probabilities: two topics are needed")
+        names = [name for name in (self.trinary, self.probabilities) if name is not None]
+        topics = [*names, *map(updates_topic, names)]
+        if len(set(topics)) < len(topics):
+            raise BadSetting(
+                "--publish-map, --publish-probabilities: two topics are needed, and neither the other's "
+                f"with changes; these would be {', '.join(topics)}"
+            )
 
 
 def run_ros2(
@@ -184,6 +190,18 @@ def check_sensors(texts: list[str] | None) -> None:
 def _tell(account: Account) -> None:
     for line in account.lines():
         log.info("%s", line)
+
+
+def _session_with_robots(endpoint: str, timeout: float) -> zenoh.Session:
+    try:
+        return open_session(NetworkConfig(connect=(endpoint,), connect_timeout=timeout))
+    except CannotConnect as error:
+        if error.__cause__ is None:  # it says already what is wrong with the address
+            raise
+        raise CannotConnect(
+            f"cannot connect to {masked(endpoint)}: does the router of rmw_zenoh, or a zenoh-bridge-ros2dds, "
+            "run on the robot, and take connections from other machines on this port?"
+        ) from error
 
 
 def _host(endpoint: str) -> str:

@@ -41,6 +41,11 @@ class TopicTaken(BadSetting):
     slug = "topic-taken"
 
 
+def updates_topic(name: str) -> str:
+    """Where the changes of a topic's map are published."""
+    return f"{name}_updates"
+
+
 class MapTopic:
     """A map on one topic of all sources, and what has changed of it on another, NAME_updates.
 
@@ -54,7 +59,7 @@ class MapTopic:
         sources = tuple(sources)
         self._whole = [source.publish_latched(name, OCCUPANCY_GRID) for source in sources]
         self._updates = [
-            source.publish_latched(f"{name}_updates", OCCUPANCY_GRID_UPDATE) for source in sources
+            source.publish_latched(updates_topic(name), OCCUPANCY_GRID_UPDATE) for source in sources
         ]
         self._last: OccupancyGrid | None = None
         self._sent = 0.0
@@ -145,14 +150,14 @@ class MapPublisher:
             return
         names = [name for name in self._names.values() if name is not None]
         try:
-            for name in names:
+            for name in (*names, *map(updates_topic, names)):
                 self._refuse_taken(name)
         except TopicTaken as error:
             self._failure = error
             return
         topics = {kind: MapTopic(name, self._sources) for kind, name in self._names.items() if name}
         for topic in topics.values():
-            log.info("publishing the map on %s and %s_updates", topic.name, topic.name)
+            log.info("publishing the map on %s and %s", topic.name, updates_topic(topic.name))
         try:
             self._publish(topics)
         finally:

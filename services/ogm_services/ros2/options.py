@@ -39,6 +39,9 @@ class Ros2Options:
             raise BadSetting(f"--tf-hold: 0 to {MAX_TF_HOLD:g} s are needed, got {self.tf_hold:g}")
         if not (math.isfinite(self.scan_delay) and abs(self.scan_delay) <= MAX_DELAY):
             raise BadSetting(f"--scan-delay: -{MAX_DELAY:g} to {MAX_DELAY:g} s, got {self.scan_delay:g}")
+        for flag, frame in {"--map-frame": self.map_frame, "--odom-frame": self.odom_frame}.items():
+            if not frame or frame.startswith("/"):
+                raise BadSetting(f"{flag}: a frame's name without / before it is needed, got {frame!r}")
         for glob in (*self.scan_topics, *self.cloud_topics, *self.pose_topics):
             if not glob.startswith(("/", "*")):
                 raise BadSetting(f"{glob!r}: names of topics begin with /, as /scan or /*/scan do")
