@@ -13,7 +13,7 @@ from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.storage import checkpoints as module
 from ogm_services.mapper.storage.checkpoints import LITTLE, MUCH, Checkpoints
 from ogm_services.mapper.storage.failures import StoreFails
-from ogm_services.mapper.storage.map_saver import MapSaver
+from ogm_services.mapper.storage.map_saver import PERIOD, MapSaver
 from ogm_services.mapper.storage.map_store import MapStore
 from stored_maps import fingerprint, grid_of
 
@@ -88,6 +88,20 @@ def test_what_is_stored_while_the_map_is_written_is_exact(tmp_path, monkeypatch,
         found = store.restore(writer.grid.settings)
     assert found.grid.revision == writer.grid.revision
     assert fingerprint(found.grid, found.placing) == writer.now
+
+
+def test_what_changes_within_a_period_is_stored_at_its_end(tmp_path):
+    """Once a second at most, however many scans there are; what is new at the end is stored then."""
+    assert PERIOD == 1.0
+    writer, taken = Writer(), []
+    writer.checkpoints.worker_stopped()
+    with MapSaver(tmp_path, period=1000.0) as saver:
+        saver.keep(lambda: taken.append(writer.grid.revision) or writer.checkpoints.take())
+        for scan, pose in scans():
+            writer.integrate(scan, pose)
+            saver.do(lambda store: None)  # it has looked at what it is asked, and not stored
+        assert (taken, saver.revision) == ([], None)
+    assert (taken, saver.revision) == ([12], 12)
 
 
 def test_a_worker_that_has_stopped_leaves_the_last_checkpoint_to_the_saver():

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ogm_client import RobotPublisher
 from ogm_core.logs.recordings import RecordedScan, write_jsonl
 from ogm_core.placing import receipts
 from ogm_core.types import IDENTITY, Pose, Scan
@@ -51,6 +52,20 @@ def log_of(path, count, *, beams, stamp=0):
 def replay_into(mapper, log):
     network = NetworkSettings(map_name=mapper.keys.map_name, connect=(mapper.endpoint,))
     run_replay(log, network, speed=None, range_max=None, robot=None)
+
+
+def test_it_keeps_nothing_for_a_mapper_that_comes_later(mapper, tmp_path):
+    """What it has sent is in its file."""
+    tokens, liveliness = [], mapper.session.liveliness()
+    keys = [f"ogm/v1/hall/robots/{robot}/scan/laser/@adv/**" for robot in ("logged", "other")]
+    declared = [liveliness.declare_subscriber(key, tokens.append) for key in keys]
+    replay_into(mapper, log_of(tmp_path / "log.jsonl", 20, beams=8))
+    with RobotPublisher("other", address=mapper.endpoint, map_name="hall", reliable=True) as robot:
+        robot.publish_scan([1.0], angle_min=0.0, angle_increment=0.1, range_min=0.0, range_max=8.0)
+        assert [*liveliness.get(keys[1])] != []  # who keeps something has a token
+    for subscriber in declared:
+        subscriber.undeclare()
+    assert {str(token.key_expr).split("/")[4] for token in tokens} == {"other"}
 
 
 def test_it_ends_when_its_own_scans_are_in(mapper, tmp_path, capsys):

@@ -18,6 +18,7 @@ from ogm_core.wire.messages import encode_scan
 from ogm_services.mapper.intake.caches import Account, Caches
 from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, Message, ScanQueue
+from ogm_services.mapper.intake.reception import Reception
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 
@@ -273,3 +274,14 @@ def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscrib
     assert receipts.status().scans.dropped["malformed"] == 1
     assert receipts.status().scans.lost == 0
     assert queue.scans == 2
+
+
+def test_what_is_lost_is_said_in_the_log(caplog):
+    reception = Reception(ScanQueue(10), Receipts(), max_beams=10)
+    reception.lost(Source("r", "s"), 3, "a", range(4, 9))
+    reception.lost(Source("q", None), 1, "", range(0))
+    assert caplog.messages == [
+        "r/s: 3 scans are lost, of seq 4 to 8 of run 'a': they did not arrive, and no publisher of the robot "
+        "keeps them",
+        "q/pose: 1 poses are lost: they did not arrive, and no publisher of the robot keeps them",
+    ]
