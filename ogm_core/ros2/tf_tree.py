@@ -16,8 +16,8 @@ from ogm_core.ros2.transform import IDENTITY, Transform, unit
 
 TF_HOLD = 1.0
 """For so long past its newest sample an edge holds that may be held, s."""
-MAX_FRAMES = 512
-"""Frames with a parent; others are refused."""
+MAX_FRAMES = 4096
+"""Frames with a parent, of all robots of one /tf together; others are refused."""
 MAX_FRAME_NAME = 256
 _FRAMES_SHOWN = 20
 

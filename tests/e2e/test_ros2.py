@@ -3,6 +3,7 @@
 import json
 import math
 import random
+import re
 import signal
 import threading
 
@@ -58,7 +59,8 @@ def test_a_robot_is_mapped_and_outlives_the_mapper(ogm, robot, endpoint, eventua
     again = ogm.ready(ogm.start("mapper", "--http-port", "0", "--listen", mapper.endpoint))
     eventually(lambda: integrated(again) > 20)
     ended = feed.stop(signal.SIGINT)
-    assert (ended.code, ended.out, ended.warnings) == (0, "", "")
+    assert (ended.code, ended.out) == (0, "")
+    assert re.sub(".* no mapper of map 'default' takes .*\n", "", ended.warnings) == ""  # on a busy machine
     assert f"looking for robots: rmw_zenoh at {endpoint}, domain 0" in ended.err
     assert "cart/scan: " in ended.err
     assert " sent" in ended.err

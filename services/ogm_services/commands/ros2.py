@@ -26,6 +26,7 @@ from ogm_services.ros2.dds_config import chosen_interface
 from ogm_services.ros2.gateway import Gateway, NamedSource
 from ogm_services.ros2.map_fetch import MapFetch
 from ogm_services.ros2.map_publisher import MapPublisher, updates_topic
+from ogm_services.ros2.mapper_watch import MapperWatch
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
@@ -160,8 +161,9 @@ def run_ros2(
         gateway = Gateway(sources, robots, account, options, rules, settings.mapper.pose_gap)
         opening.callback(gateway.close)
         opening.callback(_tell, account)
+        watch = MapperWatch(robots, network.map_name, config.where)
         if published == Published():
-            gateway.run()
+            gateway.run(watch.look)
         publisher_of_map = MapPublisher(
             [source for source, _ in sources],
             MapFetch(session, network.map_name, options.map_frame),
@@ -169,7 +171,12 @@ def run_ros2(
             probabilities=published.probabilities,
         )
         opening.callback(publisher_of_map.close)
-        gateway.run(publisher_of_map.check)
+
+        def look() -> None:
+            watch.look()
+            publisher_of_map.check()
+
+        gateway.run(look)
 
 
 def check_sensors(texts: list[str] | None) -> None:

@@ -4,6 +4,7 @@ import uuid
 from collections import Counter
 from collections.abc import Callable
 
+from ogm_client.errors import NobodyAnswered
 from ogm_client.robot import RobotPublisher
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 
@@ -39,6 +40,15 @@ class MappedRobot:
         self._publisher.put_pose(PoseStamped(stamp, placed, self._poses, self._run))
         self._poses += 1
         self._newest = stamp
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody takes its poses."""
+        try:
+            self._publisher.wait_for_mapper(0.0)
+        except NobodyAnswered:
+            return False
+        return True
 
     def is_ahead(self, stamp: int) -> bool:
         """Whether a stamp, ns, lies so far after the newest pose that a mapper might not wait for its own."""

@@ -80,6 +80,11 @@ class Robots:
             robot.begin_run()
         return robot
 
+    @property
+    def heard(self) -> bool | None:
+        """Whether somebody takes what they send; None before there is any."""
+        return next((robot.heard for _, robot in self._found.values()), None)
+
     def close(self) -> None:
         """Withdraw all."""
         for _, robot in self._found.values():
