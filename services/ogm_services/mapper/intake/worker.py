@@ -20,11 +20,11 @@ from ogm_services.replies.answer import Unavailable
 from ogm_services.runtime.limited_log import LimitedLog
 
 LOOK_PERIOD = 0.1
+"""How often robots that have fallen silent are looked for, s."""
 STOOD_STILL = 1.5
 """If there is more than this between two looks, s, the mapper stood still, or was at one scan."""
 PATIENCE = 1.0
 """After that no scan is given up for so long, s, for which no pose has come meanwhile."""
-"""How often robots that have fallen silent are looked for, s."""
 
 log = logging.getLogger(__name__)
 
