@@ -64,6 +64,7 @@ class BasePoses:
         self._tree, self._frames = tree, frames
         self._last: int | None = None
         self._restarts = 0
+        self._missing = ""
 
     def take(self) -> list[tuple[int, Pose]]:
         """The poses that can be told by now and were not given yet, with their stamps, ns.
@@ -73,7 +74,8 @@ class BasePoses:
         tree, fixed, base = self._tree, self._frames.fixed, self._frames.base
         try:
             anchor = tree.anchor(fixed, base)
-        except NoTransform:
+        except NoTransform as error:
+            self._missing = str(error)
             return []
         edge = None if anchor is None else tree.edge(anchor)
         if edge is None or edge.newest is None:
@@ -85,12 +87,26 @@ class BasePoses:
         for stamp in edge.stamps_after(self._last):
             try:
                 found.append((stamp, tree.lookup(fixed, base, stamp, anchor=anchor).planar()))
-            except NoTransformYet:
+            except NoTransformYet as error:
+                self._missing = str(error)
                 break
             except NoTransform as error:
+                self._missing = str(error)
                 self.counts[error.kind] += 1
+            else:
+                self._missing = ""
             self._last = stamp
         return found
+
+    @property
+    def missing(self) -> str:
+        """Why there are no poses after those that were given."""
+        fixed, base = self._frames.fixed, self._frames.base
+        if self._missing:
+            return self._missing
+        if self._last is None:
+            return f"every transform from {base} up to {fixed} is static, so none says when it was there"
+        return f"no transform that says where {base} moves to has come since"
 
 
 def _named(path: tuple[str, ...], name: str) -> str | None:

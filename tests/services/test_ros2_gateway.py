@@ -6,7 +6,7 @@ import struct
 import pytest
 
 import naive_cdr
-from gateway_desk import MS, RANGES, Driver, S, all_heard, planar
+from gateway_desk import MS, RANGES, Driver, S, all_heard, known, planar
 from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.point_cloud import Flattening
@@ -88,7 +88,7 @@ def messages_in_order(sent):
     return [next(poses if kind == "pose" else scans) for kind in sent.order]
 
 
-def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network, monkeypatch):
+def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network, monkeypatch, caplog):
     monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.3)
     driver = Driver(RmwZenohRobot(network()))
     found = gateway()
@@ -99,6 +99,38 @@ def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network,
     driver.scan(scan_at(5 * S))
     found.until(lambda: [scan.stamp for scan in found.sent.scans["domain0/scan"]] == [50 * MS, 5 * S])
     assert found.counts == {"domain0/scan": {"sent": 2}}
+    assert "waited: no transform that says where base_link moves to has come since" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("moving", "why"),
+    [
+        (True, "no transform from base_link to map: map -> odom: its newest sample is 1.100 s older"),
+        (False, "every transform from base_link up to map is static, so none says when it was there"),
+    ],
+)
+def test_what_keeps_a_robots_poses_from_coming_is_told(gateway, network, monkeypatch, caplog, moving, why):
+    """As a localisation that has ended, of which else only the mapper would know something."""
+    monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.3)
+    driver = Driver(RmwZenohRobot(network()))
+    found = gateway()
+    found.until(all_heard(driver))
+    if moving:
+        driver.drive(0)
+        driver.map_frame = False
+        for n in range(1, 60):
+            driver.drive(n, scan=False)
+    else:
+        still = (planar(0.0, 0.0, 0.0), planar(0.2, 0.0, 0.0))
+        edges = [(0, "map", "base_link", still[0]), (0, "base_link", "laser", still[1])]
+        driver.static(naive_cdr.tf_message(edges))
+        found.until(lambda: known(found, "map"))
+    driver.scan(scan_at(5 * S))
+    found.until(lambda: len(found.sent.scans.get("domain0/scan", ())) == 1)
+    assert (
+        f"domain0/scan: no_pose: its scans go on without the robot's poses, for which they waited: {why}"
+        in (caplog.text)
+    )
 
 
 def test_a_clock_that_goes_back_by_seconds_has_poses_at_its_new_stamps(gateway, network):

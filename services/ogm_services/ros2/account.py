@@ -23,6 +23,10 @@ class Account:
         self._of(source)[reason] += 1
         self._log.of_kind(source, kind or reason, f"{reason}: {text}")
 
+    def warned(self, source: str, reason: str, text: str) -> None:
+        """Something is wrong with what goes on nevertheless."""
+        self._log.of_kind(source, reason, f"{reason}: {text}")
+
     def lines(self) -> list[str]:
         """A line for each source, sorted."""
         return [

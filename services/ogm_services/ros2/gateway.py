@@ -235,8 +235,13 @@ class Gateway:
             mount = level(rule.mount)
         else:
             mount = poses.mount(mounted, message, stamp)
-        if patient and robot.is_ahead(stamp):
-            raise NoTransformYet(f"the poses of {robot.name} have not come so far yet", "no pose")
+        if robot.is_ahead(stamp):
+            if patient:
+                raise NoTransformYet(f"the poses of {robot.name} have not come so far yet", "no pose")
+            text = (
+                f"its scans go on without the robot's poses, for which they waited: {poses.missing(mounted)}"
+            )
+            self._account.warned(source, "no_pose", text)
         robot.send_scan(sensor, functools.partial(feed.scan, message, mount, rule))
         self._account.sent(source)
         hint = feed.hint(source, message, rule)

@@ -29,5 +29,8 @@ class PoseSource(Protocol):
     def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
         """Where the sensor was on its robot at a stamp, ns; raises as `owner` does."""
 
+    def missing(self, mounted: Mounted) -> str:
+        """Why a robot has no poses later than those that were sent."""
+
     def send_poses(self) -> None:
         """Send what can be told by now."""

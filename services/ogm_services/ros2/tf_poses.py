@@ -80,6 +80,11 @@ class TfPoses:
         above = tree.path(base)[1]
         return tree.lookup(above, base, stamp).inverse().compose(tree.lookup(above, message.frame, stamp))
 
+    def missing(self, mounted: Mounted) -> str:
+        """Why a robot has no poses later than those that were sent."""
+        found = (each.poses.missing for each in self._followed.values() if each.robot is mounted.robot)
+        return next(found, "no tf leads to it any more")
+
     def send_poses(self) -> None:
         """Send what can be told by now."""
         for prefix, followed in list(self._followed.items()):

@@ -70,6 +70,10 @@ class TopicPoses:
             )
         return level(self._options.mount)
 
+    def missing(self, mounted: Mounted) -> str:
+        """Why a robot has no poses later than those that were sent."""
+        return f"no later one has come on {self._told_by}"
+
     def send_poses(self) -> None:
         """Nothing: they are sent as they come."""
 
