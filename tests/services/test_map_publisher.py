@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from ogm_client.errors import BadReply
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.cdr import OccupancyGrid
 from ogm_services.ros2 import map_publisher
@@ -211,6 +212,14 @@ def test_a_map_that_does_not_change_is_not_fetched_again(publisher, mapper, monk
     assert (asked["trinary"], asked["probabilities"]) == (1, 1)
     mapper.scan([1.0, 0.5, 1.0, 1.0], at=99, pose=[0.25, 0.25, 0.0], angle_increment=1.57, range_max=2.5)
     eventually(lambda: (asked["trinary"], asked["probabilities"]) == (2, 2))
+
+
+@pytest.mark.parametrize("answer", [b"\xff", b"[]", b'{"data": [300], "width": 1, "height": 1}'])
+def test_an_answer_that_is_no_map_is_a_bad_reply(network, monkeypatch, answer):
+    fetch = MapFetch(network(), "hall", "map")
+    monkeypatch.setattr(fetch._transport, "fetch", lambda service, parameters: answer)
+    with pytest.raises(BadReply, match=r"map\.json: data, width and height are needed"):
+        fetch.probabilities()
 
 
 @pytest.mark.parametrize("topic", ["/map", "/map_updates"])

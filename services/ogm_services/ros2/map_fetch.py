@@ -81,8 +81,9 @@ class MapFetch:
 
     def probabilities(self) -> OccupancyGrid | None:
         """The map: how likely a cell is occupied, 0 to 100, or -1 where unknown; raises as `trinary`."""
-        said = orjson.loads(self._transport.fetch("map.json", {}))
+        payload = self._transport.fetch("map.json", {})
         try:
+            said = orjson.loads(payload)
             cells = np.array(said["data"], np.int8).reshape(said["height"], said["width"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise BadReply("map.json: data, width and height are needed") from error
