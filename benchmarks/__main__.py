@@ -32,6 +32,7 @@ BENCHMARKS = (
     "build_speed",
     "memory",
     "stored",
+    "ros2",
     "start_up",
 )
 """Modules of this package, each with `run(quick: bool) -> list[Result]`."""
