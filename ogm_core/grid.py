@@ -7,13 +7,15 @@ import numpy as np
 
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.model import CellModel, Planes
-from ogm_core.errors import SMALLER_MAP, LimitReached, OutsideBounds
+from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
 from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for, uncopied_tiles
+from ogm_core.tiles.erasing import erase, written_rect
+from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
@@ -46,6 +48,7 @@ class OccupancyGrid:
         self.revision = 0
         self.stamp: int | None = None
         self.cell_updates = 0
+        self.erasures = 0
         self._known: CellRect | None = None
         self._begin_store(TileStore(self.bounds or CellRect(0, 0, 0, 0), self.model.planes))
 
@@ -132,6 +135,30 @@ class OccupancyGrid:
         self._known = known
         return updates
 
+    def erase(self, area: Polygon) -> int:
+        """Make the cells unknown whose centre lies in `area`; return how many were known.
+
+        What lies outside the map is left out. The revision grows by one; stamp and number of updates stay.
+
+        Raises:
+            BadParameter: no cell of the map may lie in it; nothing has changed.
+            MapEmpty: the map has no known cell, nor bounds; nothing has changed.
+        """
+        if not area.rect.cells:
+            raise BadParameter("no cell's centre lies in what is to be erased: it is too small")
+        if not self.rect.cells:
+            raise MapEmpty("the map has no known cell: there is nothing to erase")
+        part = self.rect.intersection(area.rect)
+        if not part.cells:
+            wanted, here = (self.lattice.region_of(rect).span for rect in (area.rect, self.rect))
+            raise BadParameter(f"what is to be erased, {wanted}, lies wholly outside the map, {here}")
+        erased = erase(self._store, area, part, self.revision + 1)
+        if erased:
+            self._known = written_rect(self._store)
+        self.revision += 1
+        self.erasures += 1
+        return erased
+
     def room_for_snapshot(self) -> Callable[[], Tiles]:
         """What makes memory ready for the next snapshot: call it while another thread goes on writing."""
         return partial(room_for, self._store, self._copies)
@@ -151,6 +178,7 @@ class OccupancyGrid:
             run=self.run,
             revision=self.revision,
             stamp=self.stamp,
+            erasures=self.erasures,
         )
 
     def copy_ahead(self) -> CopyAhead:
@@ -181,7 +209,8 @@ class OccupancyGrid:
         """
         self._copies = copy_tiles(self._store, self.revision, self._copies, room, giving_up=False)
         state = MapState(
-            *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect)
+            *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect),
+            self.erasures,
         )
         return Checkpoint(state, self._copies, self._store.touched.copy())
 
@@ -196,6 +225,7 @@ class OccupancyGrid:
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
         self.epoch, self.revision, self.stamp, self.cell_updates, self._known = state[:5]
+        self.erasures = state.erasures
         self._begin_store(store)
 
     def _begin_store(self, store: TileStore) -> None:

@@ -71,6 +71,11 @@ class Region(NamedTuple):
     xmax: float
     ymax: float
 
+    @property
+    def span(self) -> str:
+        """From where to where it reaches, in words."""
+        return f"x {self.xmin:.9g} to {self.xmax:.9g}, y {self.ymin:.9g} to {self.ymax:.9g} m"
+
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
@@ -116,6 +121,11 @@ class Lattice:
     def corner_of(self, ix: int, iy: int) -> tuple[float, float]:
         """World position of the lower-left corner of cell (ix, iy), m."""
         return self.anchor[0] + ix * self.resolution, self.anchor[1] + iy * self.resolution
+
+    def region_of(self, rect: CellRect) -> Region:
+        """What the cells of a rectangle fill of the world."""
+        corner = self.corner_of(rect.ix + rect.width, rect.iy + rect.height)
+        return Region(*self.corner_of(rect.ix, rect.iy), *corner)
 
     def cover(self, region: Region) -> CellRect:
         """The smallest rectangle of cells that covers `region` (rounded outward).

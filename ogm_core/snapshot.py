@@ -33,6 +33,13 @@ class MapSnapshot:
     stamp: int | None
     factor: int = 1
     run: str = ""
+    erasures: int = 0
+    """How many of the changes were no scans: cells were erased."""
+
+    @property
+    def scans(self) -> int:
+        """How many scans were integrated."""
+        return self.revision - self.erasures
 
     @property
     def cells(self) -> StoredCells:
@@ -127,7 +134,9 @@ class MapSnapshot:
             return self
         part = self.rect.intersection(wanted)
         if not part.cells:
-            raise BadParameter(f"region {_span(region)} lies wholly outside the map, {_span(self._extent())}")
+            raise BadParameter(
+                f"region {region.span} lies wholly outside the map, {self.lattice.region_of(self.rect).span}"
+            )
         left, bottom = (part.ix - self.rect.ix) // self.factor, (part.iy - self.rect.iy) // self.factor
         right = _divided_up(part.ix + part.width - self.rect.ix, self.factor)
         top = _divided_up(part.iy + part.height - self.rect.iy, self.factor)
@@ -154,14 +163,6 @@ class MapSnapshot:
         stored = CellArrays(planes, {plane.name: plane.side for plane in model.planes})
         return replace(self, stored=stored, model=model, factor=self.factor * factor)
 
-    def _extent(self) -> Region:
-        ix, iy, width, height = self.rect
-        return Region(*self.origin, *self.lattice.corner_of(ix + width, iy + height))
-
 
 def _divided_up(a: int, b: int) -> int:
     return -(-a // b)
-
-
-def _span(region: Region) -> str:
-    return f"x {region.xmin:.9g} to {region.xmax:.9g}, y {region.ymin:.9g} to {region.ymax:.9g} m"

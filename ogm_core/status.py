@@ -166,6 +166,16 @@ class SnapshotList:
 
 
 @dataclass(frozen=True, slots=True)
+class Erasure:
+    """What has been erased: which map it is since, and how many known cells are unknown now."""
+
+    epoch: str
+    run: str
+    revision: int
+    cells: int
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
@@ -187,8 +197,8 @@ class Status:
     store: StoreInfo | None = None
 
 
-def encode_status(status: Status | SnapshotInfo | SnapshotList) -> bytes:
-    """JSON form of a status, or of what is said of saved maps."""
+def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> bytes:
+    """JSON form of a status, of what is said of saved maps, or of what has been erased."""
     return json.dumps(status, default=_by_name).encode()
 
 

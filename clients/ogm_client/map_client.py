@@ -8,13 +8,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
 from ogm_client.errors import BadReply, CannotConnect, MapperError, NobodyAnswered
 from ogm_client.map_grid import MapGrid
 from ogm_client.session import NetworkConfig
-from ogm_client.status_reply import read_snapshot, read_snapshots, read_status
+from ogm_client.status_reply import read_erasure, read_snapshot, read_snapshots, read_status
 from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting, cut
@@ -147,6 +148,23 @@ class MapClient:
         """Empty the map: a new epoch begins."""
         self._transport.write("reset", {})
 
+    def erase(self, region: ArrayLike | None = None, *, polygon: ArrayLike | None = None) -> int:
+        """Make cells unknown whose centre lies in `region` or in `polygon`; return how many were known.
+
+        A region is (xmin, ymin, xmax, ymax), m, and a polygon its 3 to 64 corners (x, y) in order, m; where
+        it crosses itself it is read even-odd. What lies outside the map is left out. Where the mapper stores
+        its map that is on the disk then.
+
+        Raises:
+            BadParameter: not one of the two is given, or it cannot be sent.
+            MapperError: it is ill-formed, or lies wholly outside the map, or the map is empty ("map-empty").
+        """
+        if (region is None) == (polygon is None):
+            raise BadParameter("region or polygon: one of them is needed, to say where")
+        corners = None if polygon is None else _corners(polygon)
+        given = _texts({"region": region, "polygon": corners})
+        return read_erasure(self._transport.write("erase", given)).cells
+
     def snapshots(self) -> list[SnapshotInfo]:
         """The maps that the mapper has saved, by name.
 
@@ -263,6 +281,18 @@ def _named(name: str) -> dict[str, str]:
     if not (isinstance(name, str) and NAME.fullmatch(name)):
         raise BadParameter(f"name {cut(repr(name))}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
     return {"name": name}
+
+
+def _corners(polygon: ArrayLike) -> list[float]:
+    """The numbers of a polygon's corners, one after the other."""
+    try:
+        corners = np.asarray(polygon, np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadParameter(f"polygon: {error}") from error
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        raise BadParameter(f"polygon: corners (x, y) are needed, got an array of shape {corners.shape}")
+    numbers: list[float] = corners.ravel().tolist()
+    return numbers
 
 
 def _texts(parameters: dict[str, Value]) -> dict[str, str]:

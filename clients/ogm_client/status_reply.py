@@ -7,7 +7,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
 from ogm_client.transport import json_object, printable
-from ogm_core.status import SnapshotInfo, SnapshotList, Status
+from ogm_core.status import Erasure, SnapshotInfo, SnapshotList, Status
 from ogm_core.types import Pose
 
 _WORDS = {
@@ -41,6 +41,16 @@ def read_snapshot(payload: bytes) -> SnapshotInfo:
     """
     snapshot: SnapshotInfo = _value(SnapshotInfo, json_object("save", payload), ("save",))
     return snapshot
+
+
+def read_erasure(payload: bytes) -> Erasure:
+    """What is told of what has been erased.
+
+    Raises:
+        BadReply: it is something else.
+    """
+    erasure: Erasure = _value(Erasure, json_object("erase", payload), ("erase",))
+    return erasure
 
 
 def read_snapshots(payload: bytes) -> list[SnapshotInfo]:

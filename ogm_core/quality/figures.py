@@ -80,7 +80,7 @@ def quality_figures(snapshot: MapSnapshot, consistency: "Consistency", cell_upda
     return {
         **map_figures(snapshot),
         "consistency": consistency.figures(),
-        "scans": snapshot.revision,
+        "scans": snapshot.scans,
         "cell_updates": cell_updates,
     }
 

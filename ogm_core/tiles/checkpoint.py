@@ -24,6 +24,8 @@ class MapState(NamedTuple):
     """The smallest rectangle that holds every known cell, None if there is none."""
     room: CellRect
     """The cells that memory is laid out for: whole tiles."""
+    erasures: int = 0
+    """How often cells were erased; each was a revision. A store of before there was such a thing has none."""
 
 
 class KeptTile(NamedTuple):
@@ -32,7 +34,10 @@ class KeptTile(NamedTuple):
     tx: int
     ty: int
     revision: int
-    """That of the last scan that wrote into it, as the map counts; cells that a map begins with have 1."""
+    """That of the last scan that wrote into it, or of an erasure, as the map counts.
+
+    Cells that a map begins with have 1.
+    """
     planes: Tiles
     """Its stored cells by plane, each shape (cells of a tile,), row after row."""
 

@@ -16,9 +16,11 @@ DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 MAX_TRUTH_BYTES = 256 * 1024
 """The longest text of a simulator's world that a mapper reads: some 10,000 walls."""
 
-Write = Literal["reset", "save", "restore", "delete"]
+Write = Literal["reset", "erase", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
-Service = Literal["map", "cell", "quality", "status", "snapshots", "reset", "save", "restore", "delete"]
+Service = Literal[
+    "map", "cell", "quality", "status", "snapshots", "reset", "erase", "save", "restore", "delete"
+]
 
 
 def check_name(value: str, what: str) -> str:

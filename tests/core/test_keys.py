@@ -38,7 +38,18 @@ def test_keys_are_those_of_the_contract():
     assert KEYS.truth == "ogm/v1/lab/truth"
     assert [KEYS.service(name) for name in get_args(Service)] == [
         f"ogm/v1/lab/{name}"
-        for name in ("map", "cell", "quality", "status", "snapshots", "reset", "save", "restore", "delete")
+        for name in (
+            "map",
+            "cell",
+            "quality",
+            "status",
+            "snapshots",
+            "reset",
+            "erase",
+            "save",
+            "restore",
+            "delete",
+        )
     ]
 
 

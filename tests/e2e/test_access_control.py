@@ -352,13 +352,17 @@ def test_only_the_operator_resets(site, mapper):
             for write in (client.save_snapshot, client.restore_snapshot, client.delete_snapshot):
                 with pytest.raises(NobodyAnswered, match="does access control not let"):
                     write("a")
+            with pytest.raises(NobodyAnswered, match="does access control not let"):
+                client.erase((-1, -1, 1, 1))
             with pytest.raises(MapperError, match="stores no map"):
                 client.snapshots()
     with MapClient(zenoh_config=site.client("operator"), timeout=30.0) as client:
         for write in (client.save_snapshot, client.restore_snapshot, client.delete_snapshot):
             with pytest.raises(MapperError, match="stores no map"):
                 write("a")
-    assert (mapper.status()["epoch"], mapper.get("map.npz")) == before
+        assert (mapper.status()["epoch"], mapper.get("map.npz")) == before
+        assert client.erase((-50, -50, 50, 50)) > 1000
+    assert (mapper.status()["epoch"], mapper.status()["map_info"]["width"]) == (before[0], 0)
     reset("operator")
     assert mapper.status()["epoch"] != before[0]
     assert mapper.status()["map_info"]["known_cells"] == 0

@@ -10,6 +10,7 @@ import pytest
 
 from ogm_client import MapClient, RobotPublisher
 from ogm_core.grid import OccupancyGrid
+from ogm_core.tiles.polygon import Polygon
 from ogm_core.types import Pose, Scan
 from ogm_services.settings.settings import Settings
 
@@ -39,9 +40,14 @@ def map_of(scans):
     """The map that these scans make."""
     grid = OccupancyGrid(Settings().grid_settings(), "e")
     for k in scans:
-        ranges, pose, stamp = scan_of(k)
-        grid.integrate(Scan(ranges=ranges, stamp=stamp, **SWEEP), Pose(*pose))
+        add(grid, k)
     return grid
+
+
+def add(grid, k):
+    """Integrate scan k."""
+    ranges, pose, stamp = scan_of(k)
+    grid.integrate(Scan(ranges=ranges, stamp=stamp, **SWEEP), Pose(*pose))
 
 
 def same(grid, expected):
@@ -51,6 +57,38 @@ def same(grid, expected):
     cells = np.where(known, snapshot.log_odds(), np.nan).astype(np.float32)
     np.testing.assert_array_equal(grid.log_odds, cells)
     assert (grid.offset, grid.revision, grid.stamp) == (snapshot.offset, snapshot.revision, snapshot.stamp)
+
+
+@pytest.mark.parametrize("over", ["zenoh", "http"])
+def test_what_is_erased_stays_so_after_a_kill_right_after_the_answer(ogm, eventually, tmp_path, over):
+    """Equal cells, and scans of a robot that goes on fall where they would have fallen."""
+    data = tmp_path / "data"
+    mapper = ogm.ready(ogm.mapper("--data", data))
+    corners = [(-3.0, -2.5), (5.0, -1.0), (0.5, 6.0), (1.0, 1.0)]
+
+    def client():
+        return MapClient(mapper.endpoint if over == "zenoh" else mapper.url, timeout=60.0)
+
+    drive(mapper, eventually, 0, 20, "first")
+    expected = map_of(range(20))
+    erased = expected.erase(Polygon(corners, expected.lattice))
+    with client() as asks:
+        first = asks.get_map()
+        assert asks.erase(polygon=corners) == erased > 1000
+        mapper.command.process.send_signal(signal.SIGKILL)
+    mapper.command.process.wait()
+
+    mapper = ogm.ready(ogm.mapper("--data", data))
+    with client() as asks:
+        again = asks.get_map()
+        same(again, expected)
+        assert (again.epoch, again.revision, again.run != first.run) == (first.epoch, 21, True)
+        drive(mapper, eventually, 20, 30, "second")
+        for k in range(20, 30):
+            add(expected, k)
+        same(asks.get_map(), expected)
+        assert asks.quality()["scans"] == 30
+    assert mapper.command.stop().code == 0
 
 
 @pytest.mark.parametrize("over", ["zenoh", "http"])

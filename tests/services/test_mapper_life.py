@@ -45,7 +45,7 @@ def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
     shares = Shares(waiting=4)
-    writes = dict.fromkeys(("reset", "save", "restore", "delete"), reset)
+    writes = dict.fromkeys(("reset", "erase", "save", "restore", "delete"), reset)
     app = build_app(BrokenAnswers(), health, writes, Metrics(), hosts=["mapper"], shares=shares)
 
     async def send():

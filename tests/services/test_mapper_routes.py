@@ -14,7 +14,13 @@ from status_json import NO_POSES
 HIT = math.log(0.7 / 0.3)
 ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
 ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
-WRITES = {"/reset": "post", "/save": "post", "/restore": "post", "/snapshots/{name}": "delete"}
+WRITES = {
+    "/reset": "post",
+    "/erase": "post",
+    "/save": "post",
+    "/restore": "post",
+    "/snapshots/{name}": "delete",
+}
 
 
 def problem(response):

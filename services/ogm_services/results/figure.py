@@ -93,7 +93,7 @@ def draw_map(
 
 def describe(snapshot: MapSnapshot, settings: GridSettings) -> str:
     """What a map was made with: number of scans, resolution, sensor model."""
-    scans = "1 scan" if snapshot.revision == 1 else f"{snapshot.revision} scans"
+    scans = "1 scan" if snapshot.scans == 1 else f"{snapshot.scans} scans"
     traversal = f", traversal {settings.traversal}" if settings.sensor_model == "beam" else ""
     return f"{scans}, resolution {snapshot.lattice.resolution:g} m, model {settings.sensor_model}{traversal}"
 

@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from functools import partial
+from typing import TypeVar
 
-from ogm_core.errors import BadMessage
+from ogm_core.errors import BadMessage, OgmError
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
@@ -27,6 +28,7 @@ PATIENCE = 1.0
 """After that no scan is given up for so long, s, for which no pose has come meanwhile."""
 
 log = logging.getLogger(__name__)
+_T = TypeVar("_T")
 
 
 class Worker:
@@ -74,30 +76,33 @@ class Worker:
         self._queue.close()
         self._thread.join(timeout)
 
-    def do(self, command: Callable[[], None], timeout: float = 30.0) -> None:
-        """Run `command` on the worker's thread, after every message that came before; wait until it is done.
+    def do(self, command: Callable[[], _T], timeout: float = 30.0) -> _T:
+        """What `command` returns, run on the worker's thread after every message that came before.
+
+        What it raises is raised; an OgmError is no bug.
 
         Raises:
             Unavailable: it was not begun in time, or the worker has stopped; it is not done any more.
         """
-        outcome: Future[None] = Future()
+        outcome: Future[_T] = Future()
 
         def run() -> None:
             if not outcome.set_running_or_notify_cancel():
                 return
             try:
-                command()
+                outcome.set_result(command())
+            except OgmError as error:
+                outcome.set_exception(error)
             except BaseException as error:
                 outcome.set_exception(error)
                 raise
-            outcome.set_result(None)
 
         deadline = time.monotonic() + timeout
         self._queue.put(Message(None, b"", time.monotonic(), run))
         while not wait([outcome], LOOK_PERIOD).done:
             if (not self.alive or time.monotonic() >= deadline) and outcome.cancel():
                 raise Unavailable("the mapper is stopping, or too busy: try again later")
-        outcome.result()
+        return outcome.result()
 
     def _run(self) -> None:
         looked, stood_still, patient = time.monotonic(), False, -math.inf

@@ -18,6 +18,7 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.copies import Tiles
+from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
@@ -73,8 +74,8 @@ class _State(NamedTuple):
 class LiveMap:
     """An `OccupancyGrid` with one writer and many readers.
 
-    Who owns what: only the worker thread calls `integrate`, `reset` and `become`, and `_writing` is held
-    while a kernel runs or tiles that have changed are copied out. After each change the writer replaces
+    Who owns what: only the worker thread calls `integrate`, `reset`, `become` and `erase`, and `_writing` is
+    held while a kernel runs or tiles that have changed are copied out. After each change the writer replaces
     `_state`, a tuple that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads)
     share the newest snapshot, which nobody changes; `_reading` keeps them from making the same copy twice.
     Figures have locks of their own, so that who waits for them holds up nobody else.
@@ -132,6 +133,17 @@ class LiveMap:
             self._grid = grid
             self._state = self._told()
             self._recent.clear()
+
+    def erase(self, area: Polygon) -> int:
+        """Writer: make the cells of an area unknown; see `OccupancyGrid.erase`.
+
+        Scans of before are no measure of what is left: the live consistency begins anew.
+        """
+        with self._writing:
+            erased = self._grid.erase(area)
+            self._state = self._told()
+            self._recent.clear()
+            return erased
 
     def copy_ahead(self) -> Tiles:
         """Copy what has changed while the writer goes on: `checkpoint` has next to nothing left to copy.
@@ -234,7 +246,7 @@ class LiveMap:
         snapshot, recent, updates = self._to_judge()
         figures = bounded_figures(snapshot, self._grid.settings, recent, world, self._check_stopping)
         truth, judged = figures.pop("truth"), figures.pop("judged")
-        counts = {"scans": snapshot.revision, "cell_updates": updates}
+        counts = {"scans": snapshot.scans, "cell_updates": updates}
         return {**figures, **counts, "judged": judged, "truth": truth}
 
     def _to_judge(self) -> tuple[MapSnapshot, list[PlacedScan], int]:

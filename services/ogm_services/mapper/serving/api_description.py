@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ogm_core.files.map_files import PALETTES, VALUES
+from ogm_core.tiles.polygon import MAX_POINTS
 from ogm_core.wire.keys import NAME
 from ogm_services.replies.problems import MEDIA_TYPE
 
@@ -13,8 +14,14 @@ _NUMBER = r"[-+]?[0-9]{1,6}(\.[0-9]{1,6})?"
 _NAME = {"type": "string", "pattern": f"^{NAME.pattern}$"}
 _PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
     "region": (
-        "xmin,ymin,xmax,ymax in metres: rounded outward to cells, clipped to the map",
+        "xmin,ymin,xmax,ymax in metres, clipped to the map: rounded outward to cells, or, where they are "
+        "erased, the cells whose centre it holds",
         {"type": "string", "pattern": f"^{_NUMBER}(,{_NUMBER}){{3}}$"},
+    ),
+    "polygon": (
+        f"x1,y1,x2,y2,... in metres, 3 to {MAX_POINTS} corners in order, in place of a region: even-odd "
+        "where it crosses itself",
+        {"type": "string", "pattern": f"^{_NUMBER}(,{_NUMBER}){{5,{2 * MAX_POINTS - 1}}}$"},
     ),
     "palette": (
         "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
@@ -64,7 +71,7 @@ _MAP_HEADERS = {
     "OGM-Origin": "x,y of the lower-left corner, metres",
     "OGM-Epoch": "Id of the map's life: another one since it was made or emptied",
     "OGM-Run": "Id of the mapper's process: another one since it was started",
-    "OGM-Revision": "Scans integrated in this life",
+    "OGM-Revision": "Scans integrated, and erasures, in this life",
     "OGM-Stamp": "That of the newest integrated scan, ns since the Unix epoch, or null",
 }
 _OF_EVERY_ROUTE = (400, 421)

@@ -15,8 +15,9 @@ from ogm_core.files.map_files import (
     encode_png,
     encode_yaml,
 )
-from ogm_core.lattice import Region
+from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.polygon import MAX_POINTS, Polygon
 from ogm_services.replies.answer import Parameters, UnknownName
 from ogm_services.settings.values import parse_number
 
@@ -106,6 +107,26 @@ def region_of(given: Parameters) -> Region | None:
     if len(parts) != 4:
         raise BadParameter(f"region: xmin,ymin,xmax,ymax is needed, got {cut(given['region'])!r}")
     return Region(*(number("region", part) for part in parts))
+
+
+def area_of(given: Parameters, lattice: Lattice) -> Polygon:
+    """The area that is named, by a region or by the corners of a polygon.
+
+    Raises:
+        BadParameter: it is ill-formed, or there is none, or more than one.
+    """
+    if len(given.keys() & {"region", "polygon"}) != 1:
+        raise BadParameter("region or polygon: one of them is needed, to say where")
+    region = region_of(given)
+    if region is not None:
+        return Polygon.of_region(region, lattice)
+    parts = given["polygon"].split(",")
+    if len(parts) % 2 or not 3 <= len(parts) // 2 <= MAX_POINTS:
+        raise BadParameter(
+            f"polygon: x1,y1,x2,y2,... of 3 to {MAX_POINTS} points is needed, got {len(parts)} numbers"
+        )
+    numbers = [number("polygon", part) for part in parts]
+    return Polygon(list(zip(numbers[::2], numbers[1::2], strict=True)), lattice)
 
 
 def shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:

@@ -90,7 +90,9 @@ def _status_families(status: Status) -> Iterator[Metric]:
     yield from _scans(status.scans)
     yield from _poses(status.poses)
     yield CounterMetricFamily("ogm_messages_ignored_total", "Neither poses nor scans.", status.other.ignored)
-    yield gauge("ogm_map_revision", "Scans integrated since the map was made.", status.revision)
+    yield gauge(
+        "ogm_map_revision", "Scans integrated, and erasures, since the map was made.", status.revision
+    )
     yield gauge("ogm_map_known_cells", "Cells that were ever updated.", info.known_cells)
     yield gauge("ogm_map_bytes", "Memory that the map has allocated.", info.bytes)
     yield gauge("ogm_robots", "Robots heard of.", len(status.robots))

@@ -7,12 +7,12 @@ from typing import Protocol
 
 from ogm_core.errors import BadParameter, BadSetting, DiskFull
 from ogm_core.grid_settings import GridSettings
-from ogm_core.status import encode_status
+from ogm_core.status import Erasure, encode_status
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.map_formats import check_names
+from ogm_services.mapper.serving.map_formats import area_of, check_names
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.kept_map import KeptMap
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, refuse_parameters
@@ -50,7 +50,13 @@ class Writes:
 
     def by_name(self) -> Mapping[Write, DoWrite]:
         """All of them."""
-        return {"reset": self.reset, "save": self.save, "restore": self.restore, "delete": self.delete}
+        return {
+            "reset": self.reset,
+            "erase": self.erase,
+            "save": self.save,
+            "restore": self.restore,
+            "delete": self.delete,
+        }
 
     def reset(self, given: Parameters, who: str) -> Answer:
         """Empty the map, after every message that has arrived; the log says who has asked for it.
@@ -69,6 +75,33 @@ class Writes:
 
         self._worker.do(empty)
         return self._answers.status({})
+
+    def erase(self, given: Parameters, who: str) -> Answer:
+        """Make the cells of an area unknown, after every message that has arrived; what has been erased.
+
+        Where the map is stored it is on the disk in the end.
+
+        Raises:
+            BadParameter: the area is ill-formed, or lies wholly outside the map.
+            MapEmpty: the map has no known cell, nor bounds.
+            Unavailable: the mapper starts, stops or is far behind.
+            DiskFull, StoreFails: the cells are erased, but that is not stored yet.
+        """
+        check_names(given, {"region", "polygon"})
+        self._answers.check_ready()
+        area = area_of(given, self._settings.lattice)
+        where = self._settings.lattice.region_of(area.rect).span
+
+        def make_unknown() -> Erasure:
+            cells = self._live_map.erase(area)
+            now = self._live_map.now
+            log.info("%s has erased %d cells in %s: revision %d", who, cells, where, now.revision)
+            return Erasure(now.epoch, now.run, now.revision, cells)
+
+        erased = self._worker.do(make_unknown)
+        if self._kept_map is not None:
+            _store(self._kept_map, "the map is erased there")
+        return Answer(encode_status(erased), "application/json")
 
     def save(self, given: Parameters, who: str) -> Answer:
         """Save the map under a name, after every message that has arrived; what the list says of it.
@@ -114,12 +147,7 @@ class Writes:
                 )
 
             self._worker.do(go_on)
-        try:
-            kept.store_now()
-        except (DiskFull, StoreFails) as error:
-            raise type(error)(
-                f"the map is {name} now, but is not stored yet, which is tried again: {error}"
-            ) from error
+        _store(kept, f"the map is {name} now")
         return self._answers.status({})
 
     def delete(self, given: Parameters, who: str) -> Answer:
@@ -142,3 +170,15 @@ class Writes:
         if self._kept_map is None:
             raise NotStored(NO_SNAPSHOTS)
         return given["name"], self._kept_map
+
+
+def _store(kept: KeptMap, done: str) -> None:
+    """Have the map of this moment on the disk; `done` says what has been done to it in memory.
+
+    Raises:
+        DiskFull, StoreFails: it is not stored yet.
+    """
+    try:
+        kept.store_now()
+    except (DiskFull, StoreFails) as error:
+        raise type(error)(f"{done}, but is not stored yet, which is tried again: {error}") from error
