@@ -166,6 +166,9 @@ def test_a_region_is_the_cells_whose_centre_it_holds():
     # From centre to centre: the left and lower one is inside, the right and upper one is not.
     centres = Polygon.of_region(Region(0.075, 0.125, 0.175, 0.225), lattice)
     assert centres.rect == CellRect(1, 2, 2, 2)
+    for k in range(-300, 300):
+        west, east = (k + 0.5) * 0.05, (k + 2.5) * 0.05
+        assert Polygon.of_region(Region(west, west, east, east), lattice).rect == CellRect(k, k, 2, 2)
     assert not Polygon.of_region(Region(0.03, 0.03, 0.07, 0.07), lattice).rect.cells
 
 
@@ -217,6 +220,18 @@ def test_nothing_known_is_erased_and_is_a_revision():
     grid = grid_of()
     assert grid.erase(area(grid, [(-2, 15), (-2, 16), (-1, 16), (-1, 15)])) == 0
     assert (grid.revision, grid.erasures) == (9, 1)
+    assert list(grid.checkpoint().tiles_since(8)) == []
+
+
+def test_a_known_zero_is_known_and_is_erased():
+    """float64 cells store it as -0.0."""
+    grid = grid_of(LogOdds("float64"), count=0)
+    grid.begin_with({"log_odds": np.array([[0.0, -0.0, 1.0, -0.0, 0.0]])})
+    assert grid.rect == CellRect(1, 0, 3, 1)
+    assert grid.erase(Polygon.of_region(Region(0.5, 0.0, 0.75, 0.25), grid.lattice)) == 1
+    assert grid.rect == CellRect(1, 0, 3, 1)
+    assert grid.erase(Polygon.of_region(Region(0.0, 0.0, 0.75, 0.25), grid.lattice)) == 1
+    assert grid.rect == CellRect(3, 0, 1, 1)
 
 
 @MODELS

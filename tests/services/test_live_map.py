@@ -17,9 +17,10 @@ from ogm_core.quality.figures import Consistency, map_figures
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import lab, load_world
 from ogm_core.status import MapInfo
+from ogm_core.tiles.polygon import Polygon
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live import live_map as live_map_module
-from ogm_services.mapper.live.live_map import FIGURES_PERIOD, RECENT_SCANS, Identity, LiveMap
+from ogm_services.mapper.live.live_map import FIGURES_PERIOD, PATIENT_PERIOD, RECENT_SCANS, Identity, LiveMap
 from ogm_services.replies.answer import Unavailable
 
 HERE = Pose(0.25, 0.25, 0.0)
@@ -292,6 +293,23 @@ def test_another_world_is_another_quality_of_the_same_map(live, clock, counted):
     assert live.quality(worlds[1]) is second
     assert live.quality(None)["truth"] is None
     assert counted == [1, 1, 1]
+
+
+def test_the_figures_after_an_erasure_are_those_of_what_is_left_and_of_later_scans(live, clock):
+    """A hit in a cell that was erased says nothing against the map."""
+    live.integrate(scan(), HERE)
+    live.integrate(scan(), HERE)
+    assert live.quality()["consistency"] == {"hits": 1.0, "free": 1.0}
+    assert live.erase(Polygon.of_region(Region(2.0, 0.0, 2.5, 0.5), SETTINGS.lattice)) == 1
+    clock.now += PATIENT_PERIOD
+    quality = live.quality()
+    assert (quality["scans"], quality["cell_updates"], quality["known_m2"]) == (2, 8, 0.75)
+    assert quality["consistency"] == {"hits": None, "free": None}
+    assert (live.info().known_cells, live.info().width, live.now.revision) == (3, 3, 3)
+    live.integrate(scan(), HERE)
+    clock.now += 1.0
+    assert live.quality()["consistency"] == {"hits": 1.0, "free": 1.0}
+    assert live.quality()["scans"] == 3
 
 
 def test_a_fresh_quality_is_never_an_old_one(live, clock):
