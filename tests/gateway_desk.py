@@ -135,7 +135,7 @@ class Driver:
 
 def known(found, frame):
     """Whether a frame is known at the root: transforms and scans may overtake each other."""
-    return frame in found.work._poses[0, ""]._tree.frames
+    return frame in found.work.conversion._poses[0, ""]._tree.frames
 
 
 def all_heard(*drivers):

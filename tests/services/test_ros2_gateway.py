@@ -77,7 +77,7 @@ def test_what_a_robot_says_costs_no_look_at_all_others(gateway, network, monkeyp
     monkeypatch.setattr(TfPoses, "send_poses", lambda self: asked.append(self) or send_poses(self))
     monkeypatch.setattr(found.work, "_next_look", math.inf)
     drivers[1].drive(0, scan=False)
-    its_own = found.work._poses[0, "/r2"]
+    its_own = found.work.conversion._poses[0, "/r2"]
     while not asked:
         found.work.step(30.0)
     assert asked == [its_own]

@@ -22,7 +22,7 @@ from ros2_robots import BridgeRobot, RmwZenohRobot
 
 
 def test_a_missing_frame_is_no_pose_and_says_which(gateway, network, monkeypatch, caplog):
-    monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.05)
+    monkeypatch.setattr("ogm_services.ros2.conversion.PATIENCE", 0.05)
     driver = Driver(RmwZenohRobot(network()))
     found = gateway()
     found.until(all_heard(driver))
@@ -208,7 +208,7 @@ def test_a_loop_of_frames_is_told_and_what_comes_after_it_is_mapped(gateway, net
     driver.drive(1)
     found.until(lambda: len(found.sent.scans.get("domain0/scan", ())) == 1)
     driver.tf(naive_cdr.tf_message([(150 * MS, "laser", "odom", planar(0.0, 0.0, 0.0))]))
-    found.until(lambda: found.work._poses[0, ""]._tree.edge("odom"))
+    found.until(lambda: found.work.conversion._poses[0, ""]._tree.edge("odom"))
     driver.drive(2)
     found.until(lambda: found.counts.get("/scan", {}).get("no_pose") == 1)
     assert "tf goes round in a loop: laser -> base_link -> odom -> laser" in caplog.text

@@ -14,7 +14,7 @@ def test_a_lidar_that_is_late_does_not_have_its_scans_before_the_poses(gateway, 
     found.until(all_heard(driver))
     for n in range(50):
         driver.drive(n, scan=False)
-    (tf,) = found.work._poses.values()
+    (tf,) = found.work.conversion._poses.values()
     found.until(lambda: getattr(tf._tree.edge("base_link"), "newest", None) == 49 * 100 * MS)
     driver.drive(50)
     found.until(lambda: len(found.sent.order) == 52)
@@ -35,7 +35,7 @@ def test_scans_that_come_seconds_before_their_poses_wait_for_them(gateway, netwo
     found.until(lambda: sorted(found.sent.order) == ["pose", "pose", "scan"])
     for n in range(2, 40):
         driver.scan(scan_at(n * 100 * MS))
-    (feed,) = found.work._feeds.values()
+    (feed,) = found.work.conversion._feeds.values()
     found.until(lambda: len(feed.waiting) == 28)
     found.until(lambda: len(found.sent.scans["domain0/scan"]) == 11)
     assert found.sent.scans["domain0/scan"][-1].stamp == 1100 * MS  # 1 s after the newest pose
@@ -55,7 +55,7 @@ def messages_in_order(sent):
 
 
 def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network, monkeypatch, caplog):
-    monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.3)
+    monkeypatch.setattr("ogm_services.ros2.conversion.PATIENCE", 0.3)
     driver = Driver(RmwZenohRobot(network()))
     found = gateway()
     found.until(all_heard(driver))
@@ -77,7 +77,7 @@ def test_scans_whose_poses_never_come_are_the_mappers_to_judge(gateway, network,
 )
 def test_what_keeps_a_robots_poses_from_coming_is_told(gateway, network, monkeypatch, caplog, moving, why):
     """As a localisation that has ended, of which else only the mapper would know something."""
-    monkeypatch.setattr("ogm_services.ros2.gateway.PATIENCE", 0.3)
+    monkeypatch.setattr("ogm_services.ros2.conversion.PATIENCE", 0.3)
     driver = Driver(RmwZenohRobot(network()))
     found = gateway()
     found.until(all_heard(driver))

@@ -43,8 +43,13 @@ class TfPoses:
         account: Account,
         options: Ros2Options,
         pose_gap: float,
+        map_wait: float | None = None,
     ) -> None:
-        """`otherwise`: the name of a robot with neither namespace nor prefix."""
+        """`otherwise`: the name of a robot with neither namespace nor prefix.
+
+        `map_wait`: how long a map frame is waited for, s; None: MAP_WAIT.
+        """
+        self._map_wait = map_wait
         self._where, self._namespace, self._otherwise = where, namespace, otherwise
         self._robots, self._account, self._options = robots, account, options
         self._tree = TfTree(pose_gap=pose_gap, tf_hold=options.tf_hold)
@@ -118,7 +123,8 @@ class TfPoses:
             raise
 
     def _follow(self, prefix: str, frames: RobotFrames, now: float) -> _Followed:
-        if frames.odometry and now - self._mapless.setdefault(prefix, now) < MAP_WAIT:
+        wait = MAP_WAIT if self._map_wait is None else self._map_wait
+        if frames.odometry and now - self._mapless.setdefault(prefix, now) < wait:
             text = f"tf leads up to {frames.fixed} only; {self._options.map_frame} is waited for"
             raise NoTransformYet(text, "no map")
         key = RobotKey(self._where, self._namespace, prefix)
