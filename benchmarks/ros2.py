@@ -91,7 +91,7 @@ def _round(count: int, rng: np.random.Generator) -> dict[str, float]:
 
         account = Account(LimitedLog(logging.getLogger("benchmarks")))
         options = Ros2Options(cloud_topics=("/points",))
-        with closing(Robots(publisher, (), "map")) as robots:
+        with closing(Robots(publisher, (), "map", account)) as robots:
             named = [NamedSource(source, "robot1")]
             with closing(Gateway(named, robots, account, options, SensorRules(), 0.5)) as gateway:
                 for _ in range(2):  # transforms are read from the first look on, scans from the second

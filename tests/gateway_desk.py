@@ -78,7 +78,7 @@ def gateways(listener, network, eventually):
         def publisher(name):
             return RobotPublisher(name, session=session, map_name="hall", reliable=True)
 
-        found = Robots(publisher, robots, "map")
+        found = Robots(publisher, robots, "map", account)
         work = Gateway(sources, found, account, options or Ros2Options(), SensorRules(rules), 0.5)
 
         def until(condition):

@@ -10,7 +10,6 @@ import io
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +24,7 @@ from ogm_core.logs.jsonl_writer import JSON_SUFFIXES, cannot, to_line, write_jso
 from ogm_core.logs.jsonlines import JsonLog
 from ogm_core.logs.lines import LongLine, lines_of, longest_line
 from ogm_core.logs.recorded import ReadDecimals, Recorded, RecordedPose, RecordedScan
+from ogm_core.logs.renaming import Renaming, check_range_max
 from ogm_core.logs.sniff import (
     BOM,
     CARMEN_SUFFIXES,
@@ -39,8 +39,7 @@ from ogm_core.logs.sniff import (
 )
 from ogm_core.logs.unpacking import GzipContent
 from ogm_core.types import IDENTITY
-from ogm_core.wire.keys import check_name
-from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, MAX_RANGE
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
 
 __all__ = [
     "CARMEN_SUFFIXES",
@@ -112,19 +111,15 @@ class RecordingReader:
         max_beams: int = DEFAULT_MAX_BEAMS,
         decimals: ReadDecimals | None = None,
     ) -> None:
-        if range_max is not None and not 0.0 < range_max <= MAX_RANGE:
-            raise BadSetting(f"range-max: above 0 and at most {MAX_RANGE:g} m is needed, got {range_max:g}")
-        if robot is not None:
-            check_name(robot, "robot")
-        self.path = path
+        check_range_max(range_max)
+        self.path, self.unit = path, "lines"
         self.malformed = self.scans = self.poses = self.size = 0
         self.complaints: list[str] = []
         self._range_max = range_max
         self._max_beams = max_beams
         self._odometry = odometry
         self._decimals = decimals
-        self._new_name = robot
-        self._old_name: str | None = None
+        self._renaming = Renaming(path, robot)
         self._file: BinaryIO | None = None
         self._position = 0
         self._head = b""
@@ -207,7 +202,7 @@ class RecordingReader:
 
     def __iter__(self) -> Iterator[Recorded]:
         for recorded in read_lines(self._lines(), self._parse(), self._complain):
-            renamed = self._rename(recorded)
+            renamed = self._renaming.of(recorded)
             if isinstance(recorded, RecordedScan):
                 self.scans += 1
             else:
@@ -251,18 +246,6 @@ class RecordingReader:
         if len(self.complaints) < MAX_COMPLAINTS:
             shown = reason if len(reason) <= _QUOTED else reason[:_QUOTED] + "..."
             self.complaints.append(f"line {number}: {shown}")
-
-    def _rename(self, recorded: Recorded) -> Recorded:
-        if self._new_name is None:
-            return recorded
-        if self._old_name is None:
-            self._old_name = recorded.robot
-        if recorded.robot != self._old_name:
-            raise BadRecording(
-                f"{self.path}: holds robots {self._old_name} and {recorded.robot}; --robot renames one robot "
-                "only, so leave it out or split the log"
-            )
-        return replace(recorded, robot=self._new_name)
 
     def _instead(self) -> str:
         if self._graph is not None and self._graph.is_graph and not self.malformed:

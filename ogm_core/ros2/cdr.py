@@ -260,6 +260,19 @@ def encode_occupancy_grid_update(update: OccupancyGridUpdate) -> bytes:
     return _encoded(message, OCCUPANCY_GRID_UPDATE, update.data)
 
 
+def from_ros1(payload: bytes, name: str) -> bytes:
+    """CDR of a message as ROS 1 writes it.
+
+    Raises:
+        BadCdr: it is damaged, or no `name`.
+    """
+    rosbags = _rosbags()
+    try:
+        return bytes(rosbags.store.ros1_to_cdr(payload, name))
+    except (rosbags.error, KeyError, struct.error, IndexError, ValueError, AssertionError) as error:
+        raise BadCdr(f"payload: {len(payload)} bytes are not a {name} of ROS 1: {error}") from error
+
+
 def check_installed() -> None:
     """Find out, before the first message, whether messages can be read.
 

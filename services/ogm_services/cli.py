@@ -14,6 +14,7 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
+from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
@@ -93,7 +94,8 @@ Log = Annotated[
     Path,
     typer.Argument(
         metavar="LOG",
-        help="Recording (.jsonl), CARMEN log (.log, .clf) or g2o graph with scans (.g2o); .gz, too.",
+        help="Recording (.jsonl), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a bag of "
+        "ROS 2 (folder, .db3, .mcap) or ROS 1 (.bag).",
     ),
 ]
 
@@ -248,6 +250,7 @@ def replay(
     log: Log,
     network: NetworkFlags,
     log_flags: LogFlags,
+    bag: BagFlags,
     logging: LoggingFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
@@ -261,15 +264,10 @@ def replay(
     settings = settings_from(config, network, logging, print_config=print_config)
     with logged_service(*settings.log.as_given, interrupted=INTERRUPTED):
         with loading():
+            from ogm_services.commands.log_readers import ReadAs
             from ogm_services.commands.replay import run_replay
-        run_replay(
-            log,
-            settings.network,
-            speed=factor,
-            range_max=log_flags.range_max,
-            robot=log_flags.robot,
-            odometry=log_flags.odometry,
-        )
+        read_as = ReadAs(log_flags.range_max, log_flags.robot, log_flags.odometry, bag.options())
+        run_replay(log, settings, speed=factor, read_as=read_as)
 
 
 @app.command()
@@ -282,6 +280,7 @@ def build(
     ],
     map_flags: MapFlags,
     log_flags: LogFlags,
+    bag: BagFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
     sensor: SensorFlags = None,
@@ -307,13 +306,12 @@ def build(
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
             from ogm_services.commands.build import run_build
+            from ogm_services.commands.log_readers import ReadAs
         run_build(
             log,
             out,
             settings,
-            range_max=log_flags.range_max,
-            robot=log_flags.robot,
-            odometry=log_flags.odometry,
+            read_as=ReadAs(log_flags.range_max, log_flags.robot, log_flags.odometry, bag.options()),
             hold_out=hold_out,
             world=world,
             figure=figure,

@@ -127,7 +127,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(ogm, lab_recording):
         "empty.jsonl": "holds no scan",
         "poses.jsonl": "holds no scan, only 1 poses",
         "malformed.jsonl": "holds no scan; 2 lines are malformed, first line 1: not JSON",
-        "map.bag": "a ROS 1 bag, not a format that is read: convert it to JSON lines",
+        "map.bag": "map.bag: a bag that is damaged, or of a kind that is not read (ReaderError: ",
     }
     first, *_ = expected
     for name, text in expected.items():

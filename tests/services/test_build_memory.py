@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from ogm_services.commands import build
+from ogm_services.commands import build, log_readers
 from ogm_services.settings.sources import load_settings
 from rough_log import write_rough_log
 
@@ -14,12 +14,12 @@ def opened(monkeypatch):
     """The logs that builds have opened, one entry for each time."""
     paths = []
 
-    class Reader(build.RecordingReader):
+    class Reader(log_readers.RecordingReader):
         def __enter__(self):
             paths.append(self.path)
             return super().__enter__()
 
-    monkeypatch.setattr(build, "RecordingReader", Reader)
+    monkeypatch.setattr(log_readers, "RecordingReader", Reader)
     return paths
 
 
@@ -34,7 +34,7 @@ def test_a_log_is_read_again_only_if_its_scans_are_too_many(tmp_path, monkeypatc
     def quality(room):
         monkeypatch.setattr(build, "MAX_KEPT", room)
         opened.clear()
-        build.run_build(log, tmp_path, settings, range_max=None, robot=None, hold_out=hold_out)
+        build.run_build(log, tmp_path, settings, hold_out=hold_out)
         return json.loads((tmp_path / "quality.json").read_text()), len(opened)
 
     expected, times = quality(0)

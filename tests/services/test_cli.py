@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ogm_core.errors import BadRecording, LimitReached
 from ogm_core.lattice import Region
 from ogm_services.cli import app
+from ogm_services.commands.log_readers import ReadAs
 from ogm_services.commands.simulator_options import SimulatorOptions
 
 MAP_FLAGS = (
@@ -25,7 +26,7 @@ NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"
 MAPPER_FLAGS = "--data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
-LOG_FLAGS = "--range-max --robot --odometry"
+LOG_FLAGS = "--range-max --robot --odometry --scan-topic --pose-topic --fixed-frame --mount --scan-delay"
 FLAGS = {
     "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
@@ -196,6 +197,12 @@ def one_line(result, code):
         ("replay", "LOG"),
         ("build x.log", "--out"),
         ("build x.log --out d --hold-out 1", "--hold-out: 2 or more"),
+        ("build x.log --out d --mount 1,2", "--mount: three finite numbers X,Y,THETA"),
+        ("build x.log --out d --scan-delay nan", "--scan-delay: -10 to 10 s, got nan"),
+        ("build x.log --out d --scan-topic scan", "'scan': names of topics begin with /"),
+        ("build x.log --out d --pose-topic /p --fixed-frame map", "--fixed-frame: it is for poses of tf"),
+        ("build x.log --out d --scan-delay 1", "x.log: --scan-topic, --fixed-frame, --mount"),
+        ("build . --out d --odometry", ".: --odometry is for CARMEN logs; --fixed-frame odom"),
         ("get", "NAME"),
         ("get map.gif -o x --url http://127.0.0.1:9", "map.gif"),
         ("status --url nowhere", "nowhere"),
@@ -312,15 +319,15 @@ def test_replay(ogm, stub, text, speed):
     flags = f"--speed {text} --range-max 50 --robot r2 --odometry --map m"
     result = ogm("replay", "a.log", *flags.split())
     assert result.exit_code == 0
-    log, network = run.args
-    assert (log, network.map_name) == (Path("a.log"), "m")
-    assert run.options == {"speed": speed, "range_max": 50.0, "robot": "r2", "odometry": True}
+    log, settings = run.args
+    assert (log, settings.network.map_name) == (Path("a.log"), "m")
+    assert run.options == {"speed": speed, "read_as": ReadAs(50.0, "r2", odometry=True)}
 
 
 def test_replay_runs_as_recorded_unless_told_otherwise(ogm, stub):
     run = stub("ogm_services.commands.replay", "run_replay")
     ogm("replay", "a.log")
-    assert run.options == {"speed": 1.0, "range_max": None, "robot": None, "odometry": False}
+    assert run.options == {"speed": 1.0, "read_as": ReadAs()}
 
 
 def test_build(ogm, stub):
@@ -329,8 +336,8 @@ def test_build(ogm, stub):
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     log, out, settings = run.args
     assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
-    rest = {"robot": None, "odometry": False, "world": None, "figure": None}
-    assert run.options == {"range_max": 8.0, "hold_out": 5, **rest}
+    rest = {"world": None, "figure": None}
+    assert run.options == {"read_as": ReadAs(8.0), "hold_out": 5, **rest}
     assert ogm("build", "a.jsonl", *["--out", "maps", "--world", "lab", "--figure", "a.pdf"]).exit_code == 0
     assert (run.options["world"], run.options["figure"]) == ("lab", Path("a.pdf"))
 

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 
 from gateway_desk import KEYS
 from ogm_client.robot import RobotPublisher
+from ogm_services.ros2.account import Account
 from ogm_services.ros2.mapper_watch import MapperWatch
 from ogm_services.ros2.robots import RobotKey, Robots
+from ogm_services.runtime.limited_log import LimitedLog
 
 
 def test_a_mapper_that_is_away_for_long_is_told_of_once_and_again_when_it_is_back(caplog):
@@ -45,7 +47,8 @@ def test_it_does_not_look_at_each_message():
 
 def test_a_robot_is_heard_by_who_subscribes_to_its_maps_robots(listener, network, eventually):
     session = network()
-    robots = Robots(lambda name: RobotPublisher(name, session=session, map_name="hall"), (), "map")
+    account = Account(LimitedLog(logging.getLogger("test")))
+    robots = Robots(lambda name: RobotPublisher(name, session=session, map_name="hall"), (), "map", account)
     try:
         assert robots.heard is None
         robots.take_on(RobotKey("here", "", ""), "r1", "map", odometry=False)

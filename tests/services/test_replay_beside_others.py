@@ -19,7 +19,7 @@ from ogm_core.wire.keys import Source
 from ogm_services.commands import on_the_way, replay
 from ogm_services.commands.on_the_way import OnTheWay, Size
 from ogm_services.commands.replay import ReplayFailed, run_replay
-from ogm_services.settings.settings import NetworkSettings
+from ogm_services.settings.settings import NetworkSettings, Settings
 
 
 @contextmanager
@@ -51,7 +51,7 @@ def log_of(path, count, *, beams, stamp=0):
 
 def replay_into(mapper, log):
     network = NetworkSettings(map_name=mapper.keys.map_name, connect=(mapper.endpoint,))
-    run_replay(log, network, speed=None, range_max=None, robot=None)
+    run_replay(log, Settings(network=network), speed=None)
 
 
 def test_it_keeps_nothing_for_a_mapper_that_comes_later(mapper, tmp_path):

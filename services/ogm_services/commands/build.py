@@ -16,7 +16,6 @@ import typer
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
-from ogm_core.logs.recordings import RecordingReader
 from ogm_core.placing.receipts import Receipts
 from ogm_core.quality.figures import Consistency, held_out, hints_by, quality_figures
 from ogm_core.quality.truth import truth_figures
@@ -26,6 +25,7 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
 from ogm_services.commands.log_feed import LogFeed, LogSink
+from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, ReadAs, log_reader
 from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import check_place, write_map
@@ -43,9 +43,7 @@ def run_build(
     out: Path,
     settings: Settings,
     *,
-    range_max: float | None,
-    robot: str | None,
-    odometry: bool = False,
+    read_as: ReadAs = AS_IT_SAYS,
     hold_out: int | None,
     world: str | None = None,
     figure: Path | None = None,
@@ -65,17 +63,7 @@ def run_build(
     check_place(out)
     if figure is not None:
         check_figure(figure, out)
-
-    def reader() -> RecordingReader:
-        return RecordingReader(
-            log,
-            range_max=range_max,
-            robot=robot,
-            odometry=odometry,
-            max_beams=max_beams,
-            decimals=read_decimals,
-        )
-
+    reader = log_reader(log, read_as, settings, max_beams=max_beams, decimals=read_decimals)
     grid = OccupancyGrid(settings.grid_settings())
     first, feed = _MapPass(grid), LogFeed(settings, hold_out)
     with reader() as messages:
@@ -167,7 +155,7 @@ class _JudgePass(LogSink):
 
 
 def _judged(
-    reader: Callable[[], RecordingReader],
+    reader: Callable[[], LogReader],
     snapshot: MapSnapshot,
     first: _MapPass,
     hold_out: int | None,
@@ -191,7 +179,7 @@ def _judged(
     return quality
 
 
-def _report(messages: RecordingReader, receipts: Receipts, first: _MapPass) -> str:
+def _report(messages: LogReader, receipts: Receipts, first: _MapPass) -> str:
     counts = receipts.status()
     parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
     if first.held:
@@ -199,7 +187,7 @@ def _report(messages: RecordingReader, receipts: Receipts, first: _MapPass) -> s
     parts += [f"{count} dropped: {reason}" for reason, count in counts.scans.dropped.items() if count]
     parts += [f"{count} poses {what}" for what, count in counts.poses.odd.items()]
     if messages.malformed:
-        parts.append(f"{messages.malformed} malformed lines ({'; '.join(messages.complaints)})")
+        parts.append(f"{messages.malformed} malformed {messages.unit} ({'; '.join(messages.complaints)})")
     if messages.not_read:
         parts.append(f"not read: {messages.not_read}")
     return ", ".join(parts)

@@ -4,13 +4,13 @@ from typing import Protocol
 
 from ogm_core.errors import BadMessage
 from ogm_core.logs.recorded import RecordedScan
-from ogm_core.logs.recordings import RecordingReader
 from ogm_core.placing.hints import Hints
 from ogm_core.placing.reasons import too_many_robots, too_many_sensors
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer, ScanSink
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.types import Scan
+from ogm_services.commands.log_readers import LogReader
 from ogm_services.runtime.complaints import Complaints
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
@@ -38,7 +38,7 @@ class LogFeed:
         self._rules = settings.placing_rules()
         self._hold_out = hold_out
 
-    def run(self, messages: RecordingReader, sink: LogSink, text: str, hints: Hints | None = None) -> None:
+    def run(self, messages: LogReader, sink: LogSink, text: str, hints: Hints | None = None) -> None:
         """Send every message to `sink`, up to and including what waits for poses; `text` names the pass."""
         placer = ScanPlacer(sink, self.receipts, self.complaints.add, self._rules, hints)
         index = 0

@@ -18,12 +18,13 @@ from ogm_client.map_client import MapClient
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.errors import OgmError
-from ogm_core.logs.recordings import Recorded, RecordedPose, RecordingReader
+from ogm_core.logs.recorded import Recorded, RecordedPose
 from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import MAX_NAME, Source
+from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, ReadAs, log_reader
 from ogm_services.commands.on_the_way import OnTheWay, size_of
 from ogm_services.runtime.progress import progress_bar
-from ogm_services.settings.settings import NetworkSettings
+from ogm_services.settings.settings import Settings
 
 ASK_FROM = 0.5
 """From this part of our share on the mapper is asked how far it is, so that the way never runs dry."""
@@ -52,12 +53,10 @@ class ReplayFailed(OgmError):
 
 def run_replay(
     log: Path,
-    network: NetworkSettings,
+    settings: Settings,
     *,
     speed: float | None,
-    range_max: float | None,
-    robot: str | None,
-    odometry: bool = False,
+    read_as: ReadAs = AS_IT_SAYS,
 ) -> None:
     """Publish a log in file order, at `speed` times its own pace (None: as fast as the mapper takes it).
 
@@ -66,10 +65,7 @@ def run_replay(
         CannotConnect, NobodyAnswered: no mapper is there.
         ReplayFailed: a scan was never received, or was dropped as malformed, for overload or by a bug.
     """
-
-    def reader() -> RecordingReader:
-        return RecordingReader(log, range_max=range_max, robot=robot, odometry=odometry)
-
+    reader, network = log_reader(log, read_as, settings), settings.network
     with reader() as messages:
         total = sum(1 for _ in messages)
     with open_session(network.for_client()) as session, ExitStack() as robots:
@@ -254,10 +250,12 @@ def _status_of(status: Status, source: Source) -> SourceStatus:
     return known or SourceStatus(run="", last_seq=None, received=0, pending=0, integrated=0)
 
 
-def _passed_over(messages: RecordingReader) -> str:
+def _passed_over(messages: LogReader) -> str:
     text = ""
     if messages.malformed:
-        text = f", {messages.malformed} malformed lines passed over ({'; '.join(messages.complaints)})"
+        text = (
+            f", {messages.malformed} malformed {messages.unit} passed over ({'; '.join(messages.complaints)})"
+        )
     if messages.not_read:
         text += f", not read: {messages.not_read}"
     return f"{text}; {messages.doubt}" if messages.doubt else text

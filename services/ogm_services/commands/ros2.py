@@ -155,7 +155,7 @@ def run_ros2(
         def publisher(robot: str) -> RobotPublisher:
             return RobotPublisher(robot, session=session, map_name=network.map_name)
 
-        robots = Robots(publisher, settings.robots, options.map_frame)
+        robots = Robots(publisher, settings.robots, options.map_frame, account)
         opening.callback(robots.close)
         rules = SensorRules(settings.sensor_rules())
         gateway = Gateway(sources, robots, account, options, rules, settings.mapper.pose_gap)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ogm_core.errors import BadInput, BadSetting
-from ogm_core.types import Pose
+from ogm_services.commands.bag_flags import mount_of
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
 from ogm_services.settings.flags import (
@@ -21,7 +21,6 @@ from ogm_services.settings.flags import (
     settings_from,
     with_flag_groups,
 )
-from ogm_services.settings.values import parse_pose
 
 if TYPE_CHECKING:
     from ogm_services.commands.ros2 import Networks
@@ -156,13 +155,17 @@ class TopicFlags:
         clouds = tuple(self.cloud_topic or ())
         if not clouds and (self.z_band is not None or self.bins is not None):
             raise BadInput("--z-band, --bins: they are for clouds, so --cloud-topic is needed, too")
+        if self.mount is not None and not self.pose_topic:
+            raise BadSetting(
+                "--mount: it goes with --pose-topic; with tf say --sensor 'ROBOT/SENSOR:mount=X,Y,THETA'"
+            )
         low, high = DEFAULT_BAND if self.z_band is None else _band(self.z_band)
         return Ros2Options(
             scan_topics=tuple(self.scan_topic or ("*",)),
             cloud_topics=clouds,
             flattening=Flattening(low, high, DEFAULT_BINS if self.bins is None else self.bins),
             pose_topics=tuple(self.pose_topic or ()),
-            mount=None if self.mount is None else _pose(self.mount),
+            mount=None if self.mount is None else mount_of(self.mount),
             tf_hold=self.tf_hold,
             scan_delay=self.scan_delay,
             map_frame=self.map_frame,
@@ -243,10 +246,3 @@ def _band(text: str) -> tuple[float, float]:
     if not (math.isfinite(low) and math.isfinite(high)):
         raise BadInput(f"--z-band: two numbers MIN,MAX in metres are needed, got {text!r}")
     return low, high
-
-
-def _pose(text: str) -> Pose:
-    try:
-        return parse_pose(text)
-    except ValueError as error:
-        raise BadInput(f"--mount: {error}, got {text!r}") from None

@@ -4,7 +4,6 @@ One way for what robots send now and for what a bag holds; where messages come f
 """
 
 import functools
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,8 +25,6 @@ from ogm_services.ros2.topic_poses import TopicPoses
 
 PATIENCE = 5.0
 """So long a scan waits for transforms that are missing, s."""
-
-log = logging.getLogger(__name__)
 
 
 class Network(NamedTuple):
@@ -206,4 +203,4 @@ class Conversion:
         self._account.sent(source)
         hint = feed.hint(source, message, rule)
         if hint is not None:
-            log.warning("%s: %s", source, hint)
+            self._account.note(source, hint)

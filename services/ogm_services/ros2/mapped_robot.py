@@ -3,9 +3,9 @@
 import uuid
 from collections import Counter
 from collections.abc import Callable
+from typing import Protocol
 
 from ogm_client.errors import NobodyAnswered
-from ogm_client.robot import RobotPublisher
 from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 
 LEAD_NS = 1_000_000_000
@@ -14,10 +14,29 @@ MakeScan = Callable[[int, str], Scan]
 """A scan of a number and run."""
 
 
+class Publisher(Protocol):
+    """Where a robot's messages go, as through a RobotPublisher; `run` names the first run."""
+
+    robot: str
+    run: str
+
+    def put_pose(self, message: PoseStamped) -> None:
+        """Take a pose."""
+
+    def put_scan(self, sensor: str, message: Scan) -> None:
+        """Take a scan of a sensor."""
+
+    def wait_for_mapper(self, timeout: float) -> None:
+        """Wait until somebody takes them, s; NobodyAnswered if nobody does."""
+
+    def close(self) -> None:
+        """Take no more."""
+
+
 class MappedRobot:
     """Sends a robot's poses and scans, numbered as they come, in a run that is new at each start."""
 
-    def __init__(self, publisher: RobotPublisher, origin: Pose | None) -> None:
+    def __init__(self, publisher: Publisher, origin: Pose | None) -> None:
         """`origin`: where the frame of the poses that are given lies in the map; None: it is the map's."""
         self.name = publisher.robot
         self.origin = origin

@@ -20,8 +20,9 @@ MAX_TF_HOLD = 60.0
 class Ros2Options:
     """Which topics are read, and how; topics are named by globs.
 
-    `pose_topics`: poses come from these, not from tf; then `mount` says where the sensors are on the robot,
-    unless settings do. `scan_delay` (s) is added to the stamps of scans, `tf_hold`: see `TfTree`.
+    `pose_topics`: poses come from these, not from tf. `mount`: where the sensors are on the robot, whatever
+    tf says; settings of a sensor come before it. `scan_delay` (s) is added to the stamps of scans,
+    `tf_hold`: see `TfTree`.
     """
 
     scan_topics: tuple[str, ...] = ("*",)
@@ -45,10 +46,6 @@ class Ros2Options:
         for glob in (*self.scan_topics, *self.cloud_topics, *self.pose_topics):
             if not glob.startswith(("/", "*")):
                 raise BadSetting(f"{glob!r}: names of topics begin with /, as /scan or /*/scan do")
-        if self.mount is not None and not self.pose_topics:
-            raise BadSetting(
-                "--mount: it goes with --pose-topic; with tf say --sensor 'ROBOT/SENSOR:mount=X,Y,THETA'"
-            )
 
 
 def matches(name: str, globs: tuple[str, ...]) -> bool:

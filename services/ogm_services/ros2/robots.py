@@ -1,24 +1,21 @@
 """Robots that were found, by name: each is one robot's, on one map, in the frame that all share."""
 
-import logging
 from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from ogm_client.robot import RobotPublisher
 from ogm_core.errors import ScanRefused
 from ogm_core.ros2.common_frame import CommonFrame
 from ogm_core.types import Pose
-from ogm_services.ros2.mapped_robot import MappedRobot
+from ogm_services.ros2.account import Account
+from ogm_services.ros2.mapped_robot import MappedRobot, Publisher
 from ogm_services.settings.robots import RobotSettings
 
 MAX_ROBOTS = 1000
 _ODOMETRY = (
-    "%s: there is no %s frame: its poses are odometry, in %s, and the map will smear as that drifts; run a "
+    "there is no {} frame: its poses are odometry, in {}, and the map will smear as that drifts; run a "
     "localisation"
 )
-
-log = logging.getLogger(__name__)
 
 
 class RobotKey(NamedTuple):
@@ -34,11 +31,12 @@ class Robots:
 
     def __init__(
         self,
-        publisher: Callable[[str], RobotPublisher],
+        publisher: Callable[[str], Publisher],
         settings: Iterable[RobotSettings],
         map_frame: str,
+        account: Account,
     ) -> None:
-        self._publisher = publisher
+        self._publisher, self._account = publisher, account
         self._settings = tuple(settings)
         self._map_frame = map_frame
         self._common = CommonFrame(map_frame)
@@ -71,7 +69,7 @@ class Robots:
         self._common.admit(called, fixed, origin)
         if odometry and called not in self._odometry:
             self._odometry.add(called)
-            log.warning(_ODOMETRY, called, self._map_frame, fixed)
+            self._account.note(called, _ODOMETRY.format(self._map_frame, fixed))
         if other is None:
             robot = MappedRobot(self._publisher(called), origin)
             self._found[called] = key, robot

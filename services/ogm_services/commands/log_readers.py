@@ -1,0 +1,98 @@
+"""Readers of logs, by what the log is: text of any known format, or a bag."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, Self
+
+from ogm_core.errors import BadRecording
+from ogm_core.logs.recorded import ReadDecimals, Recorded
+from ogm_core.logs.recordings import RecordingReader
+from ogm_core.ros2.bag_files import is_bag
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
+from ogm_services.ros2.bag_reader import BagOptions, BagReader
+from ogm_services.settings.settings import Settings
+
+
+class LogReader(AbstractContextManager["LogReader"], Protocol):
+    """What a RecordingReader and a BagReader have in common; see there."""
+
+    scans: int
+    poses: int
+    malformed: int
+    complaints: list[str]
+    size: int
+    unit: str
+    """What `malformed` counts, as \"lines\"."""
+
+    @property
+    def position(self) -> int:
+        """How much of `size` was read."""
+
+    @property
+    def not_read(self) -> str:
+        """What was passed over; "" if nothing was."""
+
+    @property
+    def doubt(self) -> str:
+        """What should be known of how the log was read; "" if nothing."""
+
+    def __enter__(self) -> Self: ...
+
+    def __iter__(self) -> Iterator[Recorded]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAs:
+    """How a log is to be read: a longest range, a name for its robot, from which poses; and how, if a bag.
+
+    `bag`: None where nothing was said of bags.
+    """
+
+    range_max: float | None = None
+    robot: str | None = None
+    odometry: bool = False
+    bag: BagOptions | None = None
+
+
+AS_IT_SAYS = ReadAs()
+
+
+def log_reader(
+    log: Path,
+    read_as: ReadAs,
+    settings: Settings,
+    *,
+    max_beams: int = DEFAULT_MAX_BEAMS,
+    decimals: ReadDecimals | None = None,
+) -> Callable[[], LogReader]:
+    """What opens a log, each time anew.
+
+    Raises:
+        BadRecording: what was said of it is for another kind of log.
+    """
+    if is_bag(log):
+        if read_as.odometry:
+            raise BadRecording(
+                f"{log}: --odometry is for CARMEN logs; --fixed-frame odom takes a bag's odometry"
+            )
+        return lambda: BagReader(
+            log,
+            read_as.bag or BagOptions(),
+            settings,
+            range_max=read_as.range_max,
+            robot=read_as.robot,
+        )
+    if read_as.bag is not None:
+        raise BadRecording(
+            f"{log}: --scan-topic, --fixed-frame, --mount, --scan-delay and --pose-topic are for bags"
+        )
+    return lambda: RecordingReader(
+        log,
+        range_max=read_as.range_max,
+        robot=read_as.robot,
+        odometry=read_as.odometry,
+        max_beams=max_beams,
+        decimals=decimals,
+    )

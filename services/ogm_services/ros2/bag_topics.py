@@ -1,0 +1,63 @@
+"""Topics of a bag: which of them make a map, and what to say where they do not."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ogm_core.errors import BadRecording, cut, printable
+from ogm_core.ros2 import cdr
+from ogm_core.ros2.bag_files import BagTopic
+from ogm_core.ros2.topics import TF, TF_STATIC, Topic
+from ogm_services.ros2.options import matches
+
+_SHOWN = 12
+"""Names that are listed at most."""
+
+
+def chosen_scans(path: Path, topics: tuple[BagTopic, ...], globs: tuple[str, ...]) -> tuple[BagTopic, ...]:
+    """The topics of a bag whose scans are to be mapped.
+
+    Raises:
+        BadRecording: there are none, or several of which none was asked for; the text names what there is.
+    """
+    scans = [topic for topic in topics if topic.type == cdr.LASER_SCAN and topic.messages]
+    if not scans:
+        there = listed(f"{topic.name} ({topic.type})" for topic in topics if topic.messages)
+        raise BadRecording(
+            f"{path}: holds no LaserScan" + (f"; there are {there}" if there else ", and nothing")
+        )
+    found = listed(f"{topic.name} ({topic.messages})" for topic in scans)
+    if not globs and len(scans) > 1:
+        raise BadRecording(f"{path}: holds several LaserScans, say which to map by --scan-topic: {found}")
+    chosen = tuple(topic for topic in scans if not globs or matches(topic.name, globs))
+    if not chosen:
+        raise BadRecording(
+            f"{path}: --scan-topic {', '.join(globs)}: it holds no such LaserScan; there are {found}"
+        )
+    return chosen
+
+
+def told(topic: BagTopic) -> Topic:
+    """A topic as robots that run tell it."""
+    return Topic("dds", topic.name, topic.type)
+
+
+def tells_transforms(topic: BagTopic) -> bool:
+    """Whether a topic carries tf."""
+    return topic.type == cdr.TF_MESSAGE and told(topic).last in (TF, TF_STATIC)
+
+
+def is_static(topic: BagTopic) -> bool:
+    """Whether a topic carries the transforms that always hold."""
+    return topic.type == cdr.TF_MESSAGE and told(topic).last == TF_STATIC
+
+
+def has_frame(frames: Iterable[str], name: str) -> bool:
+    """Whether a frame is among some, with a prefix or without."""
+    return any(frame == name or frame.endswith(f"/{name}") for frame in frames)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a row, the first ones of them."""
+    shown = [cut(printable(name)) for name in sorted(names)]
+    more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
+    return ", ".join(shown[:_SHOWN]) + more
