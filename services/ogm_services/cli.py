@@ -319,6 +319,18 @@ def build(
 
 
 @app.command()
+def info(
+    log: Log,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+) -> None:
+    """Say what a recorded log or a bag holds, and what is missing in it for a map."""
+    with log_nothing(), running_service(interrupted=INTERRUPTED):
+        with loading():
+            from ogm_services.commands.info import run_info
+        run_info(log, as_json=as_json)
+
+
+@app.command()
 @with_flag_groups
 def get(
     name: Annotated[

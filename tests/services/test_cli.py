@@ -35,6 +35,7 @@ FLAGS = {
     f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
+    "info": "--json",
     "get": "--out -o --at --url --map --zenoh-config --config",
     "status": "--json --watch --url --map --zenoh-config --config",
     "snapshot list": "--json --url --map --zenoh-config --config",

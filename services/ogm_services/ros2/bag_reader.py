@@ -17,7 +17,7 @@ from ogm_core.ros2 import cdr
 from ogm_core.ros2.bag_files import BagFile, BagMessage
 from ogm_core.types import PoseStamped, Scan
 from ogm_services.ros2.account import SENT, Account
-from ogm_services.ros2.bag_topics import chosen_scans, has_frame, is_static, listed, tells_transforms, told
+from ogm_services.ros2.bag_topics import chosen_scans, edges_in, has_frame, is_static, listed, told
 from ogm_services.ros2.conversion import Conversion, Network, Patience
 from ogm_services.ros2.options import Ros2Options, matches
 from ogm_services.ros2.robots import Robots
@@ -160,16 +160,10 @@ class BagReader:
 
     def _frames(self) -> dict[str, frozenset[str]]:
         """The frames that transforms name, by namespace."""
-        found: dict[str, set[str]] = {}
-        topics = [topic for topic in self._bag.topics if tells_transforms(topic)]
-        for message in self._bag.messages(topics):
-            names = found.setdefault(told(message.topic).namespace, set())
-            try:
-                for edge in cdr.decode_tf_message(self._bag.cdr(message)):
-                    names |= {edge.parent, edge.child}
-            except BadCdr:
-                pass  # it is counted when it is read for good
-        return {namespace: frozenset(names) for namespace, names in found.items()}
+        return {
+            namespace: frozenset(edges) | {edge.parent for edge in edges.values()}
+            for namespace, edges in edges_in(self._bag).items()
+        }
 
     def _check(self, options: Ros2Options, frames: dict[str, frozenset[str]]) -> None:
         """Refuse what cannot become a map."""

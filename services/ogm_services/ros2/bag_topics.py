@@ -2,15 +2,36 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
-from ogm_core.errors import BadRecording, cut, printable
+from ogm_core.errors import BadCdr, BadRecording, cut, printable
 from ogm_core.ros2 import cdr
-from ogm_core.ros2.bag_files import BagTopic
+from ogm_core.ros2.bag_files import BagFile, BagTopic
 from ogm_core.ros2.topics import TF, TF_STATIC, Topic
 from ogm_services.ros2.options import matches
 
 _SHOWN = 12
 """Names that are listed at most."""
+
+
+class Edge(NamedTuple):
+    """A frame's parent, and whether it stands still there."""
+
+    parent: str
+    static: bool
+
+
+def edges_in(bag: BagFile) -> dict[str, dict[str, Edge]]:
+    """The parents of all frames that a bag's tf names, the last of each, by namespace."""
+    found: dict[str, dict[str, Edge]] = {}
+    for message in bag.messages([topic for topic in bag.topics if tells_transforms(topic)]):
+        edges = found.setdefault(told(message.topic).namespace, {})
+        try:
+            for edge in cdr.decode_tf_message(bag.cdr(message)):
+                edges[edge.child] = Edge(edge.parent, is_static(message.topic))
+        except BadCdr:
+            continue  # it is counted when it is read for a map
+    return found
 
 
 def chosen_scans(path: Path, topics: tuple[BagTopic, ...], globs: tuple[str, ...]) -> tuple[BagTopic, ...]:

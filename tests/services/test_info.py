@@ -1,0 +1,64 @@
+"""What a bag or a log holds, told before a map is made of it."""
+
+import json
+
+import pytest
+
+from bag_files import drive, mount, scan, write_bag
+from ogm_core.errors import BadRecording
+from ogm_core.logs.recordings import RecordedPose, write_jsonl
+from ogm_core.types import Pose, PoseStamped
+from ogm_services.commands.info import run_info
+
+
+def test_a_bag(tmp_path, capsys):
+    bag = write_bag(tmp_path / "bag", [mount(), *drive()])
+    run_info(bag, as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert found["kind"] == "rosbag2, sqlite3"
+    assert {topic["name"]: topic["messages"] for topic in found["topics"]} == {
+        "/scan": 5,
+        "/tf": 6,
+        "/tf_static": 1,
+    }
+    assert found["frames"][""]["laser"] == {"parent": "base_link", "static": True}
+    assert found["frames"][""]["base_link"] == {"parent": "odom", "static": False}
+    assert found["messages"] == {"robot1/pose": 6, "robot1/scan": 5}
+    assert found["written"] == {"from_ns": 0, "to_ns": 600_000_000}
+    assert found["stamps"] == {"from_ns": 100_000_000, "to_ns": 600_000_000}
+    assert found["missing"] is None
+    run_info(bag, as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    at = lines.index("frames of /:")
+    assert lines[at + 1 : at + 4] == ["  odom", "    base_link  (moves)", "      laser"]
+    assert lines[-1] == "missing for a map: nothing"
+
+
+def test_what_is_missing_for_a_map_is_said(tmp_path, capsys):
+    run_info(write_bag(tmp_path / "bag", [scan(0)]), as_json=False)
+    shown = capsys.readouterr().out
+    assert "missing for a map: holds no tf, so nothing says where its scans were taken" in shown
+    run_info(write_bag(tmp_path / "two", [mount(), *drive(), scan(0, topic="/rear")]), as_json=False)
+    assert "say which to map by --scan-topic: /rear (1), /scan (5)" in capsys.readouterr().out
+
+
+def test_long_lists_end_in_a_screen(tmp_path, capsys):
+    """JSON has all of them."""
+    rear = [scan(0, topic=f"/rear{n}") for n in range(40)]
+    bag = write_bag(tmp_path / "bag", [mount(), *drive(), *rear])
+    run_info(bag, as_json=False)
+    shown = capsys.readouterr().out
+    assert "  and 20 more (--json has all)" in shown
+    assert len(shown.splitlines()) < 40
+    run_info(bag, as_json=True)
+    assert len(json.loads(capsys.readouterr().out)["topics"]) == 43
+
+
+def test_a_recording(tmp_path, capsys):
+    log = tmp_path / "log.jsonl"
+    write_jsonl(log, [RecordedPose("r1", PoseStamped(7, Pose(0.0, 0.0, 0.0)))])
+    run_info(log, as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert (found["messages"], found["missing"]) == ({"r1/pose": 1}, "holds no scan, only 1 poses")
+    with pytest.raises(BadRecording, match="cannot be read"):
+        run_info(tmp_path / "none.jsonl", as_json=False)
