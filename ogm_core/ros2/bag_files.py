@@ -184,6 +184,8 @@ class BagFile:
             raise self._damaged(self.path, error) from error
 
     def _damaged(self, path: Path, error: Exception) -> BadRecording:
+        if "end magic" in str(error):
+            return BadRecording(f"{path}: an MCAP that was cut short: mcap recover makes a whole one of it")
         return BadRecording(f"{path}: a bag that is damaged, or of a kind that is not read ({_said(error)})")
 
 

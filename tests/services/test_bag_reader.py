@@ -207,7 +207,9 @@ def test_what_is_no_bag_is_told_in_a_line(tmp_path):
     whole = write_bag(tmp_path / "bag", [mount(), *drive()])
     (data,) = whole.glob("*.db3")
     content = data.read_bytes()
+    (other,) = write_bag(tmp_path / "other", [mount(), *drive()], StoragePlugin.MCAP).glob("*.mcap")
     cases = {
+        "cut.mcap": (other.read_bytes()[:-100], "an MCAP that was cut short: mcap recover"),
         "half.db3": (content[: len(content) // 2], "damaged"),
         "text.bag": (b"no bag at all", "no bag, in spite of its name: it begins with b'no bag a'"),
         "empty.mcap": (b"", "empty, holds no scan"),
