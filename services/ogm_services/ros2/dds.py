@@ -52,8 +52,10 @@ class DdsSource:
             (kind == "publication", *self._alive_ends(topic)) for kind, topic in self._dds.builtin.items()
         ]
         self._nodes: dict[bytes, str] = {}
+        # Every participant tells of its nodes once, all at once to who comes late.
+        all_told = Qos(True, True, _RELIABLE_DEPTH)
         self._reading.add(
-            self._reader(node_names.TOPIC, node_names.TYPE, Qos(True, True, 1), opaque=True), self._node_told
+            self._reader(node_names.TOPIC, node_names.TYPE, all_told, opaque=True), self._node_told
         )
 
     def topics(self) -> list[Topic]:
