@@ -289,6 +289,30 @@ def test_names_of_nodes_on_dds(on_dds, eventually, size):
     eventually(lambda: getattr(named(source, "/scan"), "node", "") == "/r1/driver")
 
 
+def test_names_of_nodes_that_many_participants_tell_at_once(on_dds, eventually):
+    """As for who comes late: nothing is read until all of them have told."""
+    from ogm_core.ros2 import node_names
+    from ogm_services.ros2.dds_types import raw_type
+
+    source, robot = on_dds
+    kind = raw_type(node_names.TYPE, opaque=True)
+    names = [f"driver{k}" for k in range(8)]
+    scans = [robot.writer(f"rt/{name}", robot.scan) for name in names]
+    tell = [robot.writer(node_names.TOPIC, kind, latched=True) for _ in names]
+    last = robot.reader("rt/last", kind)
+    eventually(lambda: all(named(source, f"/{name}") for name in names))
+    with source._reading._lock:
+        for name, scan, told in zip(names, scans, tell, strict=True):
+            sample = kind.__new__(kind)
+            sample.payload = nodes_told(16, {name: [scan.guid.bytes]})
+            told.write(sample)
+        robot.writer("rt/last", kind, latched=True).write(sample)
+        eventually(lambda: last.take(1))
+    eventually(
+        lambda: [named(source, f"/{name}").node for name in names] == [f"/r1/{name}" for name in names]
+    )
+
+
 def test_dds_of_a_wrong_domain_or_interface(domain):
     from ogm_services.ros2.dds import DdsSource
     from ogm_services.ros2.dds_config import chosen_interface
