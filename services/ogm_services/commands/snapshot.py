@@ -6,7 +6,7 @@ It imports what it needs when it runs, so that `ogm --help` answers at once.
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,6 +47,36 @@ TokenFile = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
+@dataclass(frozen=True)
+class WriteFlags:
+    """Flags of who changes something: at which mapper, with which token, and how it is told."""
+
+    url: Url = None
+    token_file: TokenFile = None
+    config: ConfigFile = None
+    as_json: AsJson = False
+
+    @contextmanager
+    def client(self, network: ClientFlags) -> Iterator["MapClient"]:
+        """A client that may change something, with the mapper's token if there is one."""
+        from ogm_services.commands.mapper_client import asking, is_http, mapper_client
+        from ogm_services.settings.settings import token_in
+
+        settings = settings_from(self.config, network)
+        options: dict[str, Any] = {"timeout": WRITE_TIMEOUT}
+        if is_http(self.url):
+            from_file = None if self.token_file is None else token_in(self.token_file, "--token-file")
+            token = from_file or settings.http.write_token()
+            options["token"] = None if token is None else token.decode("ascii")
+        elif self.token_file is not None:
+            raise BadInput(
+                f"--token-file {self.token_file}: the token is for HTTP alone (--url http://HOST:PORT); over "
+                "Zenoh certificates say who may"
+            )
+        with mapper_client(self.url, settings.network, **options) as client, asking():
+            yield client
+
+
 @app.command("list")
 @with_flag_groups
 def list_all(
@@ -70,18 +100,11 @@ def list_all(
 
 @app.command()
 @with_flag_groups
-def save(
-    name: Name,
-    network: ClientFlags,
-    url: Url = None,
-    token_file: TokenFile = None,
-    config: ConfigFile = None,
-    as_json: AsJson = False,
-) -> None:
+def save(name: Name, network: ClientFlags, asked: WriteFlags) -> None:
     """Save the map of this moment under a name that is not taken."""
-    with _writing(url, config, network, token_file) as client:
+    with asked.client(network) as client:
         saved = client.save_snapshot(name)
-    if as_json:
+    if asked.as_json:
         typer.echo(json.dumps(asdict(saved), indent=2))
     else:
         typer.echo(f"{saved.name}: revision {saved.revision}, {saved.bytes / 1e6:.1f} MB")
@@ -89,18 +112,11 @@ def save(
 
 @app.command()
 @with_flag_groups
-def restore(
-    name: Name,
-    network: ClientFlags,
-    url: Url = None,
-    token_file: TokenFile = None,
-    config: ConfigFile = None,
-    as_json: AsJson = False,
-) -> None:
+def restore(name: Name, network: ClientFlags, asked: WriteFlags) -> None:
     """Go on with the map that is saved under a name, in place of the one that there is."""
-    with _writing(url, config, network, token_file) as client:
+    with asked.client(network) as client:
         client.restore_snapshot(name)
-        if as_json:
+        if asked.as_json:
             _print_json(client, "status")
             return
         status = client.status()
@@ -109,18 +125,11 @@ def restore(
 
 @app.command()
 @with_flag_groups
-def delete(
-    name: Name,
-    network: ClientFlags,
-    url: Url = None,
-    token_file: TokenFile = None,
-    config: ConfigFile = None,
-    as_json: AsJson = False,
-) -> None:
+def delete(name: Name, network: ClientFlags, asked: WriteFlags) -> None:
     """Delete the map that is saved under a name; the live map stays as it is."""
-    with _writing(url, config, network, token_file) as client:
+    with asked.client(network) as client:
         client.delete_snapshot(name)
-        if as_json:
+        if asked.as_json:
             _print_json(client, "snapshots")
             return
     typer.echo(f"{name}: deleted")
@@ -141,29 +150,6 @@ def snapshots_table(found: list[SnapshotInfo]) -> "Table":
             row += ["", "", f"{saved.bytes / 1e6:.1f}", saved.damage]
         table.add_row(*row)
     return table
-
-
-@contextmanager
-def _writing(
-    url: str | None, config: Path | None, network: ClientFlags, token_file: Path | None
-) -> Iterator["MapClient"]:
-    """A client that may change something, with the mapper's token if there is one."""
-    from ogm_services.commands.mapper_client import asking, is_http, mapper_client
-    from ogm_services.settings.settings import token_in
-
-    settings = settings_from(config, network)
-    options: dict[str, Any] = {"timeout": WRITE_TIMEOUT}
-    if is_http(url):
-        from_file = None if token_file is None else token_in(token_file, "--token-file")
-        token = from_file or settings.http.write_token()
-        options["token"] = None if token is None else token.decode("ascii")
-    elif token_file is not None:
-        raise BadInput(
-            f"--token-file {token_file}: the token is for HTTP alone (--url http://HOST:PORT); over Zenoh "
-            "certificates say who may"
-        )
-    with mapper_client(url, settings.network, **options) as client, asking():
-        yield client
 
 
 def _print_json(client: "MapClient", name: str) -> None:
