@@ -33,7 +33,8 @@ def test_of_two_that_are_started_together_exactly_one_stays(mapper, listener, og
         eventually(lambda both=both: any(one.process.poll() is not None for one in both), 120.0)
         (ended,) = (one for one in both if one.process.poll() is not None)
         (stays,) = (one for one in both if one is not ended)
-        assert "another mapper of map 'default' is alive" in ended.wait().complaint(1)
+        assert (ended.wait().code, ended.wait().out) == (1, "")
+        assert "another mapper of map 'default' is alive" in ended.wait().err.splitlines()[-1]
         assert readyz(ogm.ready(stays)) == (200, "ok")
         assert len(tokens(listener)) == 1
         stays.stop()

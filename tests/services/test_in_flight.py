@@ -117,7 +117,7 @@ class Server:
         app.add_middleware(InPieces, in_flight=self.in_flight)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
-        config = uvicorn.Config(app, http=parser, log_level="warning", timeout_graceful_shutdown=1)
+        config = uvicorn.Config(app, http=parser, log_config=None, timeout_graceful_shutdown=1)
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([self._listener],))
 

@@ -4,7 +4,7 @@ import json
 import logging
 import threading
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 
 import pytest
 import zenoh
@@ -217,6 +217,33 @@ def test_a_bare_token_stops_nobody_and_is_named(mapper, joined, eventually, capl
     others = serving(mapper())
     assert [(r.levelname, token in r.getMessage()) for r in caplog.records] == [("WARNING", True)]
     assert others.reasons() == []
+
+
+@pytest.mark.parametrize("comes", [True, False], ids=["comes", "goes"])
+def test_one_that_comes_or_goes_during_the_look_is_no_bare_token(
+    mapper, joined, eventually, caplog, monkeypatch, comes
+):
+    low, high = mapper(LOW), mapper(HIGH)
+    if not comes:
+        high.claim()
+    look = OtherMappers._look_before_serving
+
+    def meanwhile(others):
+        if others is not low:
+            return look(others)
+        if comes:
+            seen = look(low)
+            with suppress(AlreadyMapped):
+                high.claim()
+        else:
+            high.close()
+            eventually(lambda: not [*joined().liveliness().get(KEYS.alive("mapper", "*", HIGH))])
+            seen = look(low)
+        return seen
+
+    monkeypatch.setattr(OtherMappers, "_look_before_serving", meanwhile)
+    low.claim()
+    assert caplog.messages == []
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,13 @@ class OtherMappers:
         asked = zenoh.handlers.Callback(self._asked, indirect=False)
         self._declared.push(self._session.declare_queryable(self._mine, asked, complete=False))
         self._declared.push(self._session.liveliness().declare_token(self._mine))
+        before = self._tokens()
         answering = {other.key for other in self._look_before_serving()}
-        tokens = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=ANSWERED)
-        here = {key for key in map(self._key_of, islice(tokens, MAX_HEARD)) if key is not None}
-        if bare := _named(here - answering):
-            log.warning("%s: the token of a mapper that does not answer: this one starts all the same", bare)
+        # One that came or went meanwhile is no bare token: these stand before and after the look.
+        if (bare := before - answering) and (bare := bare & self._tokens()):
+            log.warning(
+                "%s: the token of a mapper that does not answer: this one starts all the same", _named(bare)
+            )
 
     def serve(self) -> None:
         """Take the map: from here on newcomers give up. Then go on looking for others.
@@ -128,6 +130,11 @@ class OtherMappers:
         if self._thread is not None:
             self._thread.join()
         self._declared.close()
+
+    def _tokens(self) -> set[str]:
+        """The keys of the tokens of other mappers, MAX_HEARD at most."""
+        tokens = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=ANSWERED)
+        return {key for key in map(self._key_of, islice(tokens, MAX_HEARD)) if key is not None}
 
     def _look_before_serving(self) -> list[Other]:
         """The others that answer; give up if one of them goes first."""
