@@ -129,11 +129,13 @@ def says(run, state):
     return json.dumps({"run": run, "state": state})
 
 
-def test_one_that_starts_gives_up_for_one_that_serves_by_now(mapper, joined):
+def test_one_that_starts_gives_up_for_one_that_serves_by_now(mapper, joined, eventually):
     """As one that was frozen does, which comes back while another is about to take its map."""
     starting, back = mapper(LOW), joined()
     starting.claim()
-    _held = served_by(back, [(KEYS.alive("mapper", "other", HIGH), says(HIGH, "serving"))])
+    other = KEYS.alive("mapper", "other", HIGH)
+    _held = served_by(back, [(other, says(HIGH, "serving"))])
+    eventually(lambda: [*joined().get(other, timeout=10.0)])
     with pytest.raises(AlreadyMapped, match=HIGH):
         starting.serve()
     assert state_of(joined(), LOW) == "yielding"
