@@ -6,12 +6,14 @@ from functools import partial
 import numpy as np
 
 from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.forgetting import MapTime
 from ogm_core.cells.model import CellModel, Planes
 from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
 from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for, uncopied_tiles
 from ogm_core.tiles.erasing import erase, written_rect
@@ -49,6 +51,7 @@ class OccupancyGrid:
         self.stamp: int | None = None
         self.cell_updates = 0
         self.erasures = 0
+        self.time = MapTime()
         self._known: CellRect | None = None
         self._begin_store(TileStore(self.bounds or CellRect(0, 0, 0, 0), self.model.planes))
 
@@ -102,13 +105,16 @@ class OccupancyGrid:
             LimitReached: it would stretch the map past a limit; no cell has changed.
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
+        time, tick = self.time, self.settings.tick
+        if tick is not None:
+            time = time.after(scan.stamp, self.revision + 1, tick)
         try:
             # What the scan says: about which cells, and which of them are this map's.
             evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
             updated = evidence.extent()
             if self.bounds is not None:
                 updated = updated.intersection(self.bounds)
-            updates = self._add(evidence, updated) if updated.cells else 0
+            updates = self._add(evidence, updated, Aging.by(time.ticks, self.model)) if updated.cells else 0
         except MemoryError as error:
             raise LimitReached(
                 f"the system has no memory left for the map: {SMALLER_MAP}", "memory"
@@ -117,10 +123,14 @@ class OccupancyGrid:
         self.revision += 1
         self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
         self.cell_updates += updates
+        self.time = time
         return updates
 
-    def _add(self, evidence: Evidence, updated: CellRect) -> int:
-        """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates."""
+    def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
+        """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates.
+
+        They have aged before.
+        """
         known = updated if self._known is None else self._known.union(updated)
         self.settings.check_known(known.width, known.height)
 
@@ -131,6 +141,10 @@ class OccupancyGrid:
             updated, lambda store: evidence.new_tiles(store, window(store)), self.max_bytes
         )
         self._store = store
+        if aging is not None:
+            aging.before_writing(
+                store, updated, lambda: evidence.touch(store, window(store), self.revision + 1)
+            )
         updates = self.model.update(evidence, store, window(store), self.revision + 1)
         self._known = known
         return updates
@@ -152,7 +166,7 @@ class OccupancyGrid:
         if not part.cells:
             wanted, here = (self.lattice.region_of(rect).span for rect in (area.rect, self.rect))
             raise BadParameter(f"what is to be erased, {wanted}, lies wholly outside the map, {here}")
-        erased = erase(self._store, area, part, self.revision + 1)
+        erased = erase(self._store, area, part, self.revision + 1, self._aging)
         if erased:
             self._known = written_rect(self._store)
         self.revision += 1
@@ -161,14 +175,14 @@ class OccupancyGrid:
 
     def room_for_snapshot(self) -> Callable[[], Tiles]:
         """What makes memory ready for the next snapshot: call it while another thread goes on writing."""
-        return partial(room_for, self._store, self._copies)
+        return partial(room_for, self._store, self._copies, self._aging)
 
     def snapshot(self, room: Tiles | None = None) -> MapSnapshot:
         """A copy of what is served, with the identity of its revision.
 
         Only tiles that were written since the last snapshot are copied, into `room` if it is large enough.
         """
-        self._copies = copy_tiles(self._store, self.revision, self._copies, room)
+        self._copies = copy_tiles(self._store, self.revision, self._copies, room, self._aging)
         return MapSnapshot(
             stored=TileView(self._copies, self.rect, self.model.planes),
             model=self.model,
@@ -186,7 +200,7 @@ class OccupancyGrid:
 
         `take_ahead` takes what it has made; the next copy then copies no more than was written meanwhile.
         """
-        return CopyAhead(self._store, self.revision, self._copies)
+        return CopyAhead(self._store, self.revision, self._copies, self._aging)
 
     def take_ahead(self, ahead: CopyAhead, made: TileCopies) -> None:
         """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""
@@ -200,17 +214,20 @@ class OccupancyGrid:
 
     def room_for_checkpoint(self) -> Callable[[], Tiles]:
         """What makes memory ready for the next checkpoint: call it while another thread goes on writing."""
-        return partial(room_for, self._store, self._copies, giving_up=False)
+        return partial(room_for, self._store, self._copies, giving_up=False, keeping_old=True)
 
     def checkpoint(self, room: Tiles | None = None) -> Checkpoint:
         """The map as it is now, for a store.
 
         Only tiles that were written since the last copy are copied, into `room` if it is large enough.
         """
-        self._copies = copy_tiles(self._store, self.revision, self._copies, room, giving_up=False)
+        self._copies = copy_tiles(
+            *(self._store, self.revision, self._copies, room, self._aging), giving_up=False, keeping_old=True
+        )
         state = MapState(
             *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect),
             self.erasures,
+            self.time,
         )
         return Checkpoint(state, self._copies, self._store.touched.copy())
 
@@ -225,8 +242,13 @@ class OccupancyGrid:
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
         self.epoch, self.revision, self.stamp, self.cell_updates, self._known = state[:5]
-        self.erasures = state.erasures
+        self.erasures, self.time = state.erasures, state.time
         self._begin_store(store)
+
+    @property
+    def _aging(self) -> Aging | None:
+        """By which tiles that have missed ticks are to be brought up to date."""
+        return Aging.by(self.time.ticks, self.model)
 
     def _begin_store(self, store: TileStore) -> None:
         """Take cells that have nothing to do with those of earlier snapshots."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from ogm_core.cells.forgetting import tick_length
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.model import MAX_MARGIN, CellModel
 from ogm_core.errors import SMALLER_MAP, BadSetting, LimitReached
@@ -27,7 +28,8 @@ class GridSettings:
     `cell_model` is what a cell keeps, `sensor_model` how a scan is read: beam by beam along a `traversal`, or
     as sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
     (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
-    lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. `max_cells` limits
+    lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. In a `half_life`
+    (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. `max_cells` limits
     the known rectangle, `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the
     cells along its beams, or, as sectors, those of its area and along its outline, within the bounds or not.
 
@@ -45,6 +47,7 @@ class GridSettings:
     bounds: Region | None = None
     anchor: tuple[float, float] = (0.0, 0.0)
     outside: Outside = "clip"
+    half_life: float | None = None
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
     max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
@@ -70,6 +73,10 @@ class GridSettings:
                 f"sensor_model: cell model {name} takes "
                 f"{' or '.join(sorted(self.cell_model.sensor_models))}, not {self.sensor_model}"
             )
+        if self.half_life is not None:
+            tick_length(self.half_life)
+            if not self.cell_model.forgets:
+                raise BadSetting(f"half_life: the cells of cell model {name} do not forget: leave it out")
         rect = self.bounds_rect
         if rect is not None and rect.cells > self.max_cells:
             raise BadSetting(
@@ -94,6 +101,11 @@ class GridSettings:
         """`alpha`, `clear_range` and `reach`, m; infinite where there is no such limit."""
         clear_range = math.inf if self.clear_range is None else float(self.clear_range)
         return float(self.alpha), clear_range, math.inf if self.reach is None else float(self.reach)
+
+    @cached_property
+    def tick(self) -> int | None:
+        """How long the map's time is from one tick to the next, ns; None if its cells never forget."""
+        return None if self.half_life is None else tick_length(self.half_life)
 
     @property
     def lattice(self) -> Lattice:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import OCCUPIED, trinary
+from ogm_core.cells.forgetting import decay_table, decayed_log_odds
 from ogm_core.cells.model import (
     P_EDGE,
     CellEvidence,
@@ -75,6 +76,8 @@ class LogOdds(CellModel):
         BadSetting: not p_free < p_prior < p_occ, not l_min < l0 < l_max, or an observation is too weak to
             be stored as int16.
     """
+
+    forgets = True
 
     cells: CellType = "int16"
     p_prior: float = 0.5
@@ -194,6 +197,14 @@ class LogOdds(CellModel):
             else:
                 np.take(self.table(encoder), part.view(np.uint16), out=encoded[band], mode="clip")
         return encoded
+
+    def decayed(self, planes: Planes, ticks: int) -> Planes:
+        """Cells after some ticks, each of which brings them nearer to the prior; everywhere the same."""
+        cells = planes[PLANE]
+        if cells.dtype != np.float64:
+            return {PLANE: np.take(decay_table(ticks), cells.view(np.uint16), mode="clip")}
+        left = decayed_log_odds(cells, self.l0, self.step, ticks)
+        return {PLANE: np.where(self.known(cells), np.where(left == 0.0, -0.0, left), 0.0)}
 
     def published(self, planes: Planes) -> tuple[Probability, Known]:
         """Probability, the prior's where unknown, and whether ever updated."""

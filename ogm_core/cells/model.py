@@ -91,6 +91,8 @@ class CellModel(ABC):
     """Whose evidence it takes."""
     margin: int = 0
     """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
+    forgets: bool = False
+    """Whether it has `decayed`: what a map with a half-life needs."""
 
     @property
     @abstractmethod
@@ -122,6 +124,10 @@ class CellModel(ABC):
 
         float64 and bool, [iy, ix]; the prior's probability where unknown.
         """
+
+    def decayed(self, planes: Planes, ticks: int) -> Planes:
+        """Stored cells, of whatever shape, after some ticks (see cells.forgetting); known ones stay known."""
+        raise NotImplementedError(f"{type(self).__name__} cells do not forget, not even by {ticks} ticks")
 
     def published_log_odds(self, planes: Planes) -> NDArray[np.float64]:
         """Log odds of the same cells, the prior's where unknown."""

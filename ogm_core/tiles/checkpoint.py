@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.forgetting import MapTime
 from ogm_core.lattice import CellRect
+from ogm_core.tiles.aging import aged_revisions
 from ogm_core.tiles.copies import TileCopies, Tiles
 from ogm_core.tiles.store import TILE
 
@@ -26,6 +28,8 @@ class MapState(NamedTuple):
     """The cells that memory is laid out for: whole tiles."""
     erasures: int = 0
     """How often cells were erased; each was a revision. A store of before there was such a thing has none."""
+    time: MapTime = MapTime()
+    """How far its time has come, and its ticks; a store of before there were half-lives has none."""
 
 
 class KeptTile(NamedTuple):
@@ -34,7 +38,7 @@ class KeptTile(NamedTuple):
     tx: int
     ty: int
     revision: int
-    """That of the last scan that wrote into it, or of an erasure, as the map counts.
+    """That of the last scan that wrote into it, of an erasure, or of the last tick that its cells have had.
 
     Cells that a map begins with have 1.
     """
@@ -57,10 +61,11 @@ class Checkpoint:
         Tiles that a map at revision 0 began with count as written after it.
         """
         written = self.touched > revision
+        of = aged_revisions(self.touched, self.copies.copied, self.state.time.ticks)
         tx, ty = np.nonzero(written)
         left, bottom = self.copies.rect.ix // TILE, self.copies.rect.iy // TILE
         for planes, here, rows in self.copies.find(self.copies.numbers[tx, ty]):
-            revisions = self.touched[tx[here], ty[here]].tolist()
+            revisions = of[tx[here], ty[here]].tolist()
             columns, up = (tx[here] + left).tolist(), (ty[here] + bottom).tolist()
             for x, y, last, row in zip(columns, up, revisions, rows.tolist(), strict=True):
                 yield KeptTile(x, y, last, {name: cells[row] for name, cells in planes.items()})

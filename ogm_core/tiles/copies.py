@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
+from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.store import TILE, TileStore
 
 _FEW = 32
@@ -90,13 +91,21 @@ class TileCopies:
         return found
 
 
-def room_for(store: TileStore, before: TileCopies | None, *, giving_up: bool = True) -> Tiles:
-    """Memory for the tiles that `copy_tiles`, with or without `giving_up`, would copy now, and some more.
+def room_for(
+    store: TileStore,
+    before: TileCopies | None,
+    aging: Aging | None = None,
+    *,
+    giving_up: bool = True,
+    keeping_old: bool = False,
+) -> Tiles:
+    """Memory for the tiles that `copy_tiles`, with the same arguments, would copy now, and some more.
 
     It is there when it returns: copying into new memory takes many times longer than copying. Another thread
     may write the store meanwhile, since the number is a guess.
     """
-    stale = int(np.count_nonzero(_to_copy(store, before, giving_up=giving_up)[3]))
+    current = None if keeping_old else aging
+    stale = int(np.count_nonzero(_to_copy(store, before, current, giving_up=giving_up)[3]))
     if stale <= _FEW:
         return {}
     return {
@@ -110,10 +119,15 @@ def copy_tiles(
     revision: int,
     before: TileCopies | None = None,
     room: Tiles | None = None,
+    aging: Aging | None = None,
     *,
     giving_up: bool = True,
+    keeping_old: bool = False,
 ) -> TileCopies:
     """Copy the tiles of `store`, now at `revision`; those not written since the copy `before` are shared.
+
+    What is copied has aged, and so have the tiles that have missed a tick since they were copied: they are
+    copied anew, unless `keeping_old`.
 
     `before` must be of the same store, or of one that it was grown from. The copies go into `room`, if that
     is large enough, and not much too large: a block keeps all of it. Without `giving_up` blocks are kept
@@ -122,7 +136,8 @@ def copy_tiles(
     If another thread writes the store meanwhile, the result is no copy of one revision, but may be the next
     one's `before`: what was written after `revision` is copied again.
     """
-    numbers, copied, blocks, stale = _to_copy(store, before, giving_up=giving_up)
+    current = None if keeping_old else aging
+    numbers, copied, blocks, stale = _to_copy(store, before, current, giving_up=giving_up)
     first = 1 if before is None else before.next_number
     which = np.flatnonzero(stale)
     planes = {}
@@ -132,8 +147,11 @@ def copy_tiles(
             given = np.empty((len(which), plane.tile_cells), plane.cells.dtype)
         tiles = given[: len(which)]
         np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
-        tiles.flags.writeable = False
         planes[name] = tiles
+    if aging is not None:
+        aging.apply(planes, store.touched.reshape(-1)[which])
+    for tiles in planes.values():
+        tiles.flags.writeable = False
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
     numbers.flags.writeable = False
     copied.reshape(-1)[which] = revision
@@ -160,10 +178,11 @@ class CopyAhead(NamedTuple):
     store: TileStore
     revision: int
     before: TileCopies | None
+    aging: Aging | None
 
     def made(self) -> TileCopies:
         """The copy: any thread, while another writes."""
-        return copy_tiles(*self)
+        return copy_tiles(self.store, self.revision, self.before, None, self.aging, keeping_old=True)
 
 
 def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
@@ -171,11 +190,11 @@ def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
 
 
 def _to_copy(
-    store: TileStore, before: TileCopies | None, *, giving_up: bool = True
+    store: TileStore, before: TileCopies | None, aging: Aging | None, *, giving_up: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Block, ...], NDArray[np.bool_]]:
     """Of a store's tiles: their numbers in the copy `before`, when they were copied, and which to copy now.
 
-    And, third, the blocks of `before` that are kept.
+    And, third, the blocks of `before` that are kept. With `aging` tiles are copied that have missed a tick.
     """
     if before is None:
         nowhere, none = CellRect(store.rect.ix, store.rect.iy, 0, 0), np.zeros((0, 0), np.int64)
@@ -184,6 +203,8 @@ def _to_copy(
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.
     stale = store.touched > copied
+    if aging is not None:
+        stale |= (store.touched > 0) & (copied < aging.last)
     return numbers, copied, _kept(before.blocks, numbers, stale, giving_up=giving_up), stale
 
 

@@ -4,14 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
+from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TILE, StoredPlane, TileStore
 
 
-def erase(store: TileStore, area: Polygon, part: CellRect, revision: int) -> int:
+def erase(store: TileStore, area: Polygon, part: CellRect, revision: int, aging: Aging | None = None) -> int:
     """Make the cells of `area` in `part`, a rectangle, unknown; return how many were not.
 
-    Tiles in which one was are marked with `revision`; others stay as they are.
+    Tiles in which one was age, and are marked with `revision`; others stay as they are.
     """
     part = part.intersection(store.rect).intersection(area.rect)
     if not part.cells:
@@ -33,6 +34,8 @@ def erase(store: TileStore, area: Polygon, part: CellRect, revision: int) -> int
             wanted[rows, columns] = band[:, left - west : right - west]
             count = _erase_in_tile(store, (tx, ty), wanted)
             if count:
+                if aging is not None:
+                    aging.age(store, np.array([tx]), np.array([ty]), store.touched[[tx], [ty]])
                 store.touched[tx, ty] = revision
                 erased += count
     return erased

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from counts_model import Counts, scans
+from ogm_core.cells.forgetting import MapTime
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
@@ -106,7 +107,7 @@ def test_a_reset_map_is_empty_and_of_its_new_epoch():
     grid.checkpoint()
     grid.reset("f")
     checkpoint = grid.checkpoint()
-    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0)
+    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0, MapTime())
     assert list(checkpoint.tiles_since(0)) == []
 
 

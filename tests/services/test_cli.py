@@ -20,7 +20,7 @@ from ogm_services.commands.simulator_options import SimulatorOptions
 MAP_FLAGS = (
     "--preset --resolution --sensor-model --cell-model --traversal --p-occ --p-free --p-prior "
     "--alpha --l-min --l-max --reach "
-    "--clear-range --cells --bounds --outside --sensor"
+    "--clear-range --cells --bounds --outside --half-life --sensor"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"

@@ -138,6 +138,7 @@ CONTRADICTIONS = [
     ({"alpha": 0.2}, "map.alpha is 0.2, and there 0.1"),
     ({"reach": 5.0}, "map.reach is 5.0, and there none"),
     ({"clear_range": 5.0}, "map.clear_range is 5.0, and there none"),
+    ({"half_life": 60.0}, "map.half_life is 60.0, and there none"),
     ({"outside": "drop"}, "map.outside is drop, and there clip"),
     ({"bounds": BOUNDS}, r"map.bounds is \[-5.0, -4.0, 12.3, 9.7\], and there none"),
     ({"cell_model": LogOdds("float64")}, "map.cells is float64, and there int16"),

@@ -107,6 +107,7 @@ def test_a_higher_source_can_take_back_what_a_lower_one_set(load):
         ({"OGM_HTTP__PORT": "0"}, "http", "port", 0),
         ({"OGM_HTTP__HOSTS": "map.example, mapper"}, "http", "hosts", ("map.example", "mapper")),
         ({"OGM_MAP__CLEAR_RANGE": "0"}, "map", "clear_range", 0.0),
+        ({"OGM_MAP__HALF_LIFE": "600"}, "map", "half_life", 600.0),
     ],
 )
 def test_text_is_read_as_what_the_setting_needs(load, env, section, key, value):
@@ -167,6 +168,8 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("map.reach", "0", "greater than 0"),
         ("map.reach", "nan", "finite"),
         ("map.clear_range", "-1", "greater than or equal to 0"),
+        ("map.half_life", "0.9", "greater than or equal to 1"),
+        ("map.half_life", "inf", "finite"),
         ("map.resolution", "0.0009", "greater than or equal to 0.001"),
         ("map.p_occ", "1.5", "less than or equal to 1"),
         ("map.preset", "labs", "'lab'"),

@@ -116,6 +116,10 @@ class MapFlags(_SettingFlags):
             "map", "outside", _choices(Outside), "With bounds: cut off a beam that leaves them, or ignore it"
         ),
     ] = None
+    half_life: Annotated[
+        str | None,
+        _setting("map", "half_life", "SECONDS", "Let the map forget: half of what a cell knows in this time"),
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from pydantic import (
     model_validator,
 )
 
+from ogm_core.cells.forgetting import MIN_HALF_LIFE
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.cells.model import CellModel
 from ogm_core.errors import BadSetting
@@ -105,6 +106,7 @@ class MapSettings(_Section):
     cells: CellType = "int16"
     bounds: Annotated[Bounds | None, NONE] = None
     outside: Outside = "clip"
+    half_life: Annotated[Annotated[Finite, Field(ge=MIN_HALF_LIFE)] | None, NONE] = None
 
     def made_cell_model(self) -> CellModel:
         """The cell model of this name, with its parameters.
@@ -272,6 +274,7 @@ class Settings(BaseModel):
             clear_range=self.map.clear_range,
             bounds=self.map.bounds,
             outside=self.map.outside,
+            half_life=self.map.half_life,
             max_cells=self.mapper.max_cells,
             max_bytes=self.mapper.max_bytes,
             max_scan_cells=self.mapper.max_scan_cells,

@@ -17,7 +17,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import SAME_RESOLUTION
 from ogm_core.tiles.store import TILE
 
-_COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range")
+_COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range", "half_life")
 
 
 def as_text(settings: GridSettings) -> str:

@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from ogm_core.cells.forgetting import MapTime
 from ogm_core.cells.model import Plane
 from ogm_core.errors import BadStore
 from ogm_core.lattice import CellRect
@@ -165,7 +166,8 @@ def write_placing(connection: sqlite3.Connection, parts: Mapping[str, bytes | No
 
 def write_state(connection: sqlite3.Connection, state: StoredState) -> None:
     """Write settings and state, with the root over all rows."""
-    text = json.dumps({"run": state.run, "tiles": state.tiles, **state.map._asdict()})
+    fields = {"run": state.run, "tiles": state.tiles, **state.map._asdict(), **state.map.time._asdict()}
+    text = json.dumps(fields)
     digest = state_digest(text, state.root)
     connection.execute("INSERT OR REPLACE INTO state VALUES (1, ?, ?, ?)", (text, state.root, digest))
     connection.execute(
@@ -178,7 +180,13 @@ def _state_of(text: str, settings: str, root: bytes) -> StoredState:
     fields = json.loads(text)
     run, tiles, known = (fields.pop(name) for name in ("run", "tiles", "known"))
     room = CellRect(*fields.pop("room"))
-    state = MapState(known=None if known is None else CellRect(*known), room=room, **fields)
+    time, ticks = fields.pop("time", None), fields.pop("ticks", ())
+    state = MapState(
+        known=None if known is None else CellRect(*known),
+        room=room,
+        time=MapTime(time, tuple(ticks)),
+        **fields,
+    )
     return StoredState(state, run, settings, tiles, root)
 
 
