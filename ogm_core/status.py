@@ -21,6 +21,7 @@ class ScanCounts:
 
     Not part of those received: `lost` ones, which never arrived and cannot be had again, as the gaps in their
     sources' seqs tell; and `replayed` ones, which came again after it was decided what becomes of them.
+    `beams_on_robots` are beams of integrated scans that were skipped because they ended at another robot.
     """
 
     received: int
@@ -30,6 +31,7 @@ class ScanCounts:
     """How many will never be in the map, by reason; another mapper may know other reasons."""
     lost: int = 0
     replayed: int = 0
+    beams_on_robots: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,7 @@ class SourceStatus:
     """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue.
 
     `dropped` holds the reasons that occurred, with counts; `hints` names what looks wrong with its data;
-    `lost` are those that never arrived.
+    `lost` are those that never arrived; `beams_on_robots` as in `ScanCounts`.
     """
 
     run: str
@@ -82,6 +84,7 @@ class SourceStatus:
     dropped: dict[str, int] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
     lost: int = 0
+    beams_on_robots: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,13 @@ class Scan:
             return self.stamp
         return self.stamp + round((self.ranges.size - 1) * self.time_increment * 1e9)
 
+    @property
+    def beam_times(self) -> NDArray[np.float64]:
+        """How long after the stamp each beam was taken, whole ns, shape (N,)."""
+        numbers = np.arange(self.ranges.size, dtype=np.float64)
+        times: NDArray[np.float64] = np.rint(numbers * self.time_increment * 1e9)
+        return times
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:

@@ -5,7 +5,9 @@ import math
 
 import numpy as np
 
+from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.receipts import DROP_REASONS, Receipts
+from ogm_core.placing.robot_rules import RobotRule, RobotRules
 from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.waiting import NO_LIMITS
@@ -43,7 +45,17 @@ class Sink:
 class Desk:
     """A scan placer with a recording sink, its receipts checked at every message. Stamps count ms from T0."""
 
-    def __init__(self, sink=None, limits=NO_LIMITS, stopping=lambda: False, robots_limit=math.inf, **rules):
+    def __init__(
+        self,
+        sink=None,
+        limits=NO_LIMITS,
+        stopping=lambda: False,
+        robots_limit=math.inf,
+        radii=(),
+        mark_hits=None,
+        **rules,
+    ):
+        """`radii` of robots, by globs on their names: what is seen of them is skipped, by `mark_hits`."""
         self.sink = sink or Sink()
         self.receipts = Receipts()
         self.log = LimitedLog(logging.getLogger(__name__))
@@ -57,6 +69,9 @@ class Desk:
             limits=limits,
             stopping=stopping,
             robots_limit=robots_limit,
+            other_robots=OtherRobots(
+                RobotRules(RobotRule(*entry) for entry in dict(radii).items()), mark_hits, self._replaced
+            ),
         )
         self._tags = {}
         self.now = 0.0
@@ -77,7 +92,8 @@ class Desk:
     def scan(self, ms, *, seq=None, robot="r", sensor="s", beams=1, tag=None, **fields):
         """A scan; by default its seq is the number of scans before it."""
         seq = self.received if seq is None else seq
-        scan = Scan(stamp_of(ms), 0.0, 0.1, 0.0, 8.0, np.ones(beams, np.float32), seq=seq, **fields)
+        fields = {"angle_increment": 0.1, "ranges": np.ones(beams, np.float32), **fields}
+        scan = Scan(stamp_of(ms), 0.0, range_min=0.0, range_max=8.0, seq=seq, **fields)
         self.received += 1
         self._tags[scan] = tag
         if self.receipts.scan_received(robot, sensor, self.now):
@@ -92,6 +108,9 @@ class Desk:
         assert scans.integrated == len(self.sink.placed)
         assert scans.pending == self.received - len(self.sink.placed) - sum(scans.dropped.values()) >= 0
         assert scans.pending == sum(len(robot.waiting) for robot in self.placer._robots.values())
+
+    def _replaced(self, scan, without_robots):
+        self._tags[without_robots] = self._tags.pop(scan)
 
     @property
     def order(self):

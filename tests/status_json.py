@@ -22,7 +22,13 @@ STATUS = Status(
     revision=41,
     stamp=1_700_000_000_500_000_001,
     scans=ScanCounts(
-        received=50, integrated=41, pending=2, dropped={"malformed": 0, "no_pose": 7}, lost=8, replayed=9
+        received=50,
+        integrated=41,
+        pending=2,
+        dropped={"malformed": 0, "no_pose": 7},
+        lost=8,
+        replayed=9,
+        beams_on_robots=12,
     ),
     poses=PoseCounts(
         received=60,
@@ -54,6 +60,7 @@ STATUS = Status(
                     dropped={"no_pose": 5},
                     hints=["range_max"],
                     lost=8,
+                    beams_on_robots=13,
                 )
             },
         ),

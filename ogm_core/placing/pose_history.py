@@ -3,6 +3,7 @@
 import math
 from array import array
 from bisect import bisect_left
+from contextlib import suppress
 from itertools import pairwise
 from struct import Struct
 from typing import NamedTuple
@@ -29,6 +30,8 @@ _read_two = Struct("6d").unpack_from
 NEAR_M = 0.01
 NEAR_RAD = math.radians(0.5)
 """Poses that are within both of each other are nearly equal: a gap between them does not matter."""
+STILL_THERE_NS = 500_000_000
+"""A time that nothing else is said of may be so far from the newest pose for that to hold."""
 
 
 class HistoryState(NamedTuple):
@@ -180,8 +183,46 @@ class PoseHistory:
         if not self._end or first < self._stamps[self._start] or last > self._stamps[self._end - 1]:
             raise _no_pose(reasons.BEYOND)
         middle = self.at(scan.stamp + (scan.end_stamp - scan.stamp) // 2)
-        base = self._at_each(scan.stamp, np.rint(np.arange(scan.ranges.size) * scan.time_increment * 1e9))
+        base = self._at_each(scan.stamp, scan.beam_times)
         return Sweep(middle.compose(scan.mount), _composed(base, scan.mount))
+
+    def about(self, stamp: int) -> Pose | None:
+        """Pose at `stamp`, or else the newest if it is at most STILL_THERE_NS away; None: nobody knows."""
+        end = self._end
+        if not end:
+            return None
+        newest = self._stamps[end - 1]
+        if stamp <= newest:
+            with suppress(NoPose):
+                return self.at(stamp)
+        there = abs(stamp - newest) <= STILL_THERE_NS and not self._ambiguous[end - 1]
+        return self._newest_pose if there else None
+
+    def about_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same for times `after` ns after `stamp`: x and y, m, shape (N, 2), NaN where nobody knows."""
+        places = np.full((after.size, 2), np.nan)
+        if not self._end:
+            return places
+        newest = self._stamps[self._end - 1] - stamp
+        between = np.flatnonzero((after >= self._stamps[self._start] - stamp) & (after <= newest))
+        if between.size:
+            poses, told = self._told_at_each(stamp, after[between])
+            places[between[told]] = poses[told, :2]
+        if not self._ambiguous[self._end - 1]:
+            there = np.isnan(places[:, 0]) & (np.abs(after - newest) <= STILL_THERE_NS)
+            places[there] = self._newest_pose[:2]
+        return places
+
+    def box_about(self, first: int, last: int) -> tuple[float, float, float, float] | None:
+        """A rectangle, xmin, ymin, xmax, ymax, that holds all places of `about_each` in a time, if any."""
+        if not self._end:
+            return None
+        kept = self._start, self._end
+        begin = max(self._start, bisect_left(self._stamps, first, *kept) - 1)
+        end = min(self._end, bisect_left(self._stamps, last, *kept) + 1)
+        (x, y, _), xy = self._newest_pose, self._poses[3 * begin : 3 * end]
+        xs, ys = xy[::3], xy[1::3]
+        return min(x, *xs), min(y, *ys), max(x, *xs), max(y, *ys)
 
     def _pose(self, n: int) -> Pose:
         return _new(Pose, _read_pose(self._poses, 24 * n))
@@ -211,6 +252,15 @@ class PoseHistory:
 
     def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses, shape (N, 3), at `after` ns after `stamp`: times between the oldest and the newest pose."""
+        poses, told = self._told_at_each(stamp, after)
+        if not told.all():
+            self.at(stamp + int(after[np.argmin(told)]))  # says why not
+        return poses
+
+    def _told_at_each(
+        self, stamp: int, after: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """The same, and which of them can be told."""
         kept = self._start, self._end
         first = max(self._start, bisect_left(self._stamps, stamp + int(after.min()), *kept) - 1)
         last = bisect_left(self._stamps, stamp + int(after.max()), *kept)
@@ -227,11 +277,9 @@ class PoseHistory:
         met = times[upper] == after
         sure = np.array([not ambiguous for ambiguous in self._ambiguous[first : last + 1]])
         told = np.where(met, sure[upper], joined[lower])
-        if not told.all():
-            self.at(stamp + int(after[np.argmin(told)]))  # says why not
         gap = times[upper] - times[lower]
         f = (after - times[lower]) / np.where(gap > 0.0, gap, 1.0)
-        return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
+        return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower]), told
 
 
 def _no_pose(reason: Reason) -> NoPose:

@@ -37,6 +37,7 @@ class _Sensor:
     dropped: Counter[str] = field(default_factory=Counter)
     hints: list[str] = field(default_factory=list)
     lost: int = 0
+    beams_on_robots: int = 0
     told: SourceStatus | None = None
     """What its status was, until it changes: of thousands few change between two who ask."""
 
@@ -48,7 +49,9 @@ class _Sensor:
         if self.told is None:
             counts = self.received, self.pending, self.integrated
             dropped, hints = dict(self.dropped), list(self.hints)
-            self.told = SourceStatus(self.run, self.last_seq, *counts, dropped, hints, self.lost)
+            self.told = SourceStatus(
+                *(self.run, self.last_seq, *counts, dropped, hints, self.lost), self.beams_on_robots
+            )
         return self.told
 
 
@@ -231,11 +234,12 @@ class Receipts:
             entry = self._changing(robot, sensor)
             entry.run, entry.last_seq = run, seq
 
-    def scan_integrated(self, robot: str, sensor: str) -> None:
-        """Count a scan that is in the map."""
+    def scan_integrated(self, robot: str, sensor: str, beams_on_robots: int = 0) -> None:
+        """Count a scan that is in the map, but for so many beams that ended at other robots."""
         with self._lock:
-            self._scans.integrated += 1
-            self._changing(robot, sensor).integrated += 1
+            for counts in (self._scans, self._changing(robot, sensor)):
+                counts.integrated += 1
+                counts.beams_on_robots += beams_on_robots
 
     def scan_dropped(self, robot: str, sensor: str, reason: DropReason) -> None:
         """Count a scan that will never be in the map."""
@@ -255,6 +259,7 @@ class Receipts:
                     dropped={reason: scans.dropped[reason] for reason in DROP_REASONS},
                     lost=scans.lost,
                     replayed=self._replayed,
+                    beams_on_robots=scans.beams_on_robots,
                 ),
                 poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),

@@ -9,6 +9,7 @@ from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
 from ogm_core.placing.decided import Decided
 from ogm_core.placing.hints import Hint, Hints
+from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import DropReason, Receipts
 from ogm_core.placing.robot import Expected, Robot
@@ -18,7 +19,7 @@ from ogm_core.placing.rules import DEFAULT_RULES, MAX_WAITING_SCANS, WAITING_NS,
 from ogm_core.placing.source import Source
 from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits
-from ogm_core.types import Pose, PoseStamped, Scan, Sweep
+from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan, Sweep
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
@@ -39,7 +40,8 @@ class ScanPlacer:
     """Places scans by their robots' poses and hands them on in the order in which they become ready.
 
     One thread calls it. No decision reads a clock: times of arrival, `now`, are told, and matter to `expire`
-    alone. The same messages in the same order give the same calls to the sink.
+    alone. The same messages in the same order give the same calls to the sink. What becomes of a robot's scan
+    depends on that robot's messages alone, unless `other_robots` are skipped.
 
     An error that the sink does not mean, a bug, is counted as its scan's `failed` and raised to the caller,
     once every other scan that was ready is placed.
@@ -56,11 +58,13 @@ class ScanPlacer:
         limits: WaitingLimits = NO_LIMITS,
         stopping: Callable[[], bool] = lambda: False,
         robots_limit: float = math.inf,
+        other_robots: OtherRobots | None = None,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
         `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
-        `robots_limit`: bytes that poses, seqs and runs of all robots may hold.
+        `robots_limit`: bytes that poses, seqs and runs of all robots may hold. `other_robots` skips the beams
+        that end at other robots.
         """
         self._sink = sink
         self._integrated = integrated
@@ -73,6 +77,7 @@ class ScanPlacer:
         self._messages = 0
         self._limits = limits
         self._stopping = stopping
+        self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
 
     @property
     def waiting_bytes(self) -> int:
@@ -357,6 +362,10 @@ class ScanPlacer:
         try:
             base, sweep = self._pose_of(robot, scan)
             pose = base.compose(scan.mount)
+            skipped, told = 0, tuple[Hint, ...]()
+            if self._other_robots is not None:
+                placed = PlacedScan(scan, pose, sweep)
+                scan, skipped, told = self._other_robots.without(name, robot, self._robots.items(), placed)
             self._sink.integrate(scan, pose, sweep)
         except ScanRefused as refusal:
             self._drop(name, sensor, cast(DropReason, refusal.slug), Reason(refusal.kind, str(refusal)))
@@ -364,9 +373,9 @@ class ScanPlacer:
             self._receipts.scan_dropped(name, sensor, "failed")
             raise
         else:
-            self._receipts.scan_integrated(name, sensor)
+            self._receipts.scan_integrated(name, sensor, skipped)
             self._integrated(handed)
-            for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
+            for hint in (*told, *self._hints.placed(robot.sources[sensor].name, scan, pose)):
                 self._hint(name, sensor, hint)
 
     @staticmethod

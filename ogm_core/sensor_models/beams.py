@@ -77,6 +77,15 @@ def reading(r: float, beam: BeamModel) -> tuple[bool, bool, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def end_point(
+    k: int, length: float, x: float, y: float, theta: float, beam: BeamModel
+) -> tuple[float, float]:
+    """Where beam `k` ends that is `length` long, m; not finite if its bearing is not."""
+    bearing = theta + (beam.angle_min + k * beam.angle_increment)
+    return x + length * math.cos(bearing), y + length * math.sin(bearing)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _end_of(
     k: int, length: float, x: float, y: float, theta: float, beam: BeamModel, lattice: LatticeParams
 ) -> tuple[bool, float, float]:
@@ -84,11 +93,9 @@ def _end_of(
 
     The arithmetic is that of `Lattice.cell_of`, in the same order: the floor of this is the end cell.
     """
-    bearing = theta + (beam.angle_min + k * beam.angle_increment)
-    if not math.isfinite(bearing):
-        return False, 0.0, 0.0
-    u = (x + length * math.cos(bearing) - lattice.anchor_x) / lattice.resolution
-    v = (y + length * math.sin(bearing) - lattice.anchor_y) / lattice.resolution
+    end_x, end_y = end_point(k, length, x, y, theta, beam)
+    u = (end_x - lattice.anchor_x) / lattice.resolution
+    v = (end_y - lattice.anchor_y) / lattice.resolution
     return abs(u) < MAX_INDEX and abs(v) < MAX_INDEX, u, v
 
 

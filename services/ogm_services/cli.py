@@ -34,8 +34,11 @@ from ogm_services.settings.flags import (
     MapperFlags,
     NetworkFlags,
     PrintConfig,
+    RadiusFlags,
     SensorFlags,
     Url,
+    check_radii,
+    check_replayed,
     settings_from,
     with_flag_groups,
 )
@@ -110,6 +113,7 @@ def demo(
     config: ConfigFile = None,
     print_config: PrintConfig = False,
     sensor: SensorFlags = None,
+    robot: RadiusFlags = None,
     world: World = "lab",
     start: Start = None,
     duration: Annotated[
@@ -124,9 +128,9 @@ def demo(
     if duration is not None and not 0.0 < duration < math.inf:
         raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
     begin = _point("--start", start)
-    settings = settings_from(
-        config, map_flags, network, http, logging, sensors=sensor, print_config=print_config
-    )
+    groups = map_flags, network, http, logging
+    settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
+    check_radii(robot)
     with logged_service(*settings.log.as_given), kernel_cache():
         with loading():
             from ogm_services.commands.demo import run_demo
@@ -144,11 +148,13 @@ def mapper(
     config: ConfigFile = None,
     print_config: PrintConfig = False,
     sensor: SensorFlags = None,
+    robot: RadiusFlags = None,
     out: MapperOut = None,
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
     groups = map_flags, mapper_flags, network, http, logging
-    settings = settings_from(config, *groups, sensors=sensor, print_config=print_config)
+    settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
+    check_radii(robot)
     with logged_service(*settings.log.as_given), kernel_cache():
         with loading():
             from ogm_services.mapper.service import run_mapper
@@ -261,12 +267,13 @@ def replay(
 ) -> None:
     """Publish a recorded log as its robots did."""
     factor = _speed(speed)
-    settings = settings_from(config, network, logging, print_config=print_config)
+    settings = settings_from(config, network, logging, robots=log_flags.robots, print_config=print_config)
+    check_replayed(log_flags.robots)
     with logged_service(*settings.log.as_given, interrupted=INTERRUPTED):
         with loading():
             from ogm_services.commands.log_readers import ReadAs
             from ogm_services.commands.replay import run_replay
-        read_as = ReadAs(log_flags.range_max, log_flags.robot, log_flags.odometry, bag.options())
+        read_as = ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options())
         run_replay(log, settings, speed=factor, read_as=read_as)
 
 
@@ -302,7 +309,8 @@ def build(
     """Make a map of a recorded log, without network."""
     if hold_out is not None and hold_out < 2:
         raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
-    settings = settings_from(config, map_flags, sensors=sensor, print_config=print_config)
+    robots = log_flags.robots
+    settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
             from ogm_services.commands.build import run_build
@@ -311,7 +319,7 @@ def build(
             log,
             out,
             settings,
-            read_as=ReadAs(log_flags.range_max, log_flags.robot, log_flags.odometry, bag.options()),
+            read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options()),
             hold_out=hold_out,
             world=world,
             figure=figure,

@@ -47,12 +47,14 @@ def test_what_only_a_newer_mapper_says_is_passed_over():
 def test_reasons_that_an_older_mapper_does_not_know_are_not_needed():
     older = sent()
     older["scans"]["dropped"] = {}
-    del older["scans"]["lost"], older["scans"]["replayed"], older["run"]
+    del older["run"]
+    for name in ("lost", "replayed", "beams_on_robots"):
+        del older["scans"][name]
     for name in ("restarted", "ambiguous", "outlier", "superseded", "refused", "lost", "replayed"):
         del older["poses"][name]
     for name in ("alive", "age_s"):
         del older["robots"]["r2"][name]
-    for name in ("dropped", "hints", "lost"):
+    for name in ("dropped", "hints", "lost", "beams_on_robots"):
         del older["robots"]["r2"]["sources"]["front"][name]
     status = read(older)
     assert (status.scans.dropped, status.scans.lost, status.scans.replayed, status.run) == ({}, 0, 0, "")

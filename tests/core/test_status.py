@@ -34,14 +34,14 @@ def test_its_json_is_word_for_word_this():
     assert encode_status(STATUS) == (
         b'{"map": "hall", "epoch": "e1", "revision": 41, "stamp": 1700000000500000001, '
         b'"scans": {"received": 50, "integrated": 41, "pending": 2, '
-        b'"dropped": {"malformed": 0, "no_pose": 7}, "lost": 8, "replayed": 9}, '
+        b'"dropped": {"malformed": 0, "no_pose": 7}, "lost": 8, "replayed": 9, "beams_on_robots": 12}, '
         b'"poses": {"received": 60, "malformed": 1, "late": 3, "restarted": 2, "ambiguous": 4, '
         b'"outlier": 5, "superseded": 6, "refused": 7, "lost": 10, "replayed": 11}, "other": {"ignored": 5}, '
         b'"map_info": {"known_cells": 1234, "bytes": 2500000, "width": 400, "height": 300, '
         b'"resolution": 0.05}, '
         b'"robots": {"r2": {"pose": [1.0, -2.5, 0.1], "stamp": 7, "alive": true, "age_s": 0.25, "sources": '
         b'{"front": {"run": "a", "last_seq": null, "received": 40, "pending": 2, "integrated": 33, '
-        b'"dropped": {"no_pose": 5}, "hints": ["range_max"], "lost": 8}}}, '
+        b'"dropped": {"no_pose": 5}, "hints": ["range_max"], "lost": 8, "beams_on_robots": 13}}}, '
         b'"r1": {"pose": null, "stamp": null, "alive": false, "age_s": null, "sources": {}}}, '
         b'"uptime_s": 12.25, "run": "r1"}'
     )

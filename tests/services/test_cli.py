@@ -28,9 +28,10 @@ MAPPER_FLAGS = "--data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = "--range-max --robot --odometry --scan-topic --pose-topic --fixed-frame --mount --scan-delay"
 FLAGS = {
-    "demo": f"--world --start --duration --out --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
+    "demo": f"--world --start --duration --out --robot --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
-    "mapper": f"--out --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} {SERVICE_FLAGS}",
+    "mapper": f"--out --robot --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
+    f"{SERVICE_FLAGS}",
     "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise "
     f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
@@ -192,6 +193,18 @@ def one_line(result, code):
         ),
         ("ros2 --dds --odom-frame=", "--odom-frame: a frame's name without / before it is needed, got ''"),
         ("ros2 --dds --robot r:origin=1", "robots.origin: three finite numbers X,Y,THETA"),
+        (
+            "ros2 --dds --robot r:radius=1",
+            "robots.radius: that is for the mapper: ogm mapper --robot 'r:radius=1'",
+        ),
+        (
+            "mapper --robot r:origin=1,2,3",
+            "robots.origin: that is for ogm ros2: ogm ros2 --robot 'r:origin=1,2,3'",
+        ),
+        ("demo --robot r:radius=1,name=b", "robots.name: that is for ogm ros2"),
+        ("demo --robot r:radius=0", "robots.radius: input should be greater than 0, got '0'"),
+        ("replay x.log --robot r:radius=1", "robots.radius: that is for the mapper"),
+        ("replay x.log --robot a --robot b", "--robot: the log's one robot gets one name, not a and b"),
         ("replay x.log --speed fast", "--speed: a number above 0, or max, is needed, got 'fast'"),
         ("replay x.log --speed 0", "--speed"),
         ("replay x.log --speed inf", "--speed"),
@@ -339,6 +352,10 @@ def test_build(ogm, stub):
     assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
     rest = {"world": None, "figure": None}
     assert run.options == {"read_as": ReadAs(8.0), "hold_out": 5, **rest}
+    robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")
+    assert ogm("build", "a.jsonl", "--out", "maps", *robots).exit_code == 0
+    assert run.options["read_as"].robot == "r2"
+    assert [(robot.match, robot.radius) for robot in run.args[2].robots] == [("a*", 0.3), ("b", None)]
     assert ogm("build", "a.jsonl", *["--out", "maps", "--world", "lab", "--figure", "a.pdf"]).exit_code == 0
     assert (run.options["world"], run.options["figure"]) == ("lab", Path("a.pdf"))
 

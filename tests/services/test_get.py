@@ -18,7 +18,7 @@ from ogm_core.lattice import Region
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.status import PoseCounts, ScanCounts
 from ogm_services.cli import app
-from ogm_services.commands.status import LOST_HELPS, WHAT_HELPS, status_tables
+from ogm_services.commands.status import LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS, status_tables
 from status_json import STATUS as FULL_STATUS
 
 STATUS = {
@@ -311,11 +311,11 @@ def test_what_is_lost_and_what_came_again_stand_in_the_tables():
     for table in status_tables(FULL_STATUS):
         console.print(table)
     lines = [" ".join(line.split()) for line in console.export_text().splitlines()]
-    assert {"lost 8 scans, 10 poses", "replayed 9 scans, 11 poses"} <= set(lines)
-    assert f"r2/front 8 lost {LOST_HELPS}" in lines
+    assert {"lost 8 scans, 10 poses", "replayed 9 scans, 11 poses", "on robots 12 beams"} <= set(lines)
+    assert {f"r2/front 8 lost {LOST_HELPS}", f"r2/front 13 beams on robots {ON_ROBOTS_MEANS}"} <= set(lines)
     quiet = replace(FULL_STATUS, scans=ScanCounts(0, 0, 0, {}), poses=PoseCounts(0, 0, 0), robots={})
     console.print(status_tables(quiet)[0])
-    assert not {"lost", "replayed"} & set(console.export_text().split())
+    assert not {"lost", "replayed", "robots"} & set(console.export_text().split())
 
 
 def test_every_reason_has_a_cure():

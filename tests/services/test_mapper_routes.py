@@ -101,12 +101,12 @@ def test_status(cross):
         "run",
     ]
     assert (status["map"], status["revision"], status["stamp"]) == ("hall", 3, 1_700_000_000_000_000_003)
-    dropped, beside = dict.fromkeys(DROP_REASONS, 0), {"lost": 0, "replayed": 0}
+    dropped, beside = dict.fromkeys(DROP_REASONS, 0), {"lost": 0, "replayed": 0, "beams_on_robots": 0}
     assert status["scans"] == {"received": 3, "integrated": 3, "pending": 0, "dropped": dropped} | beside
     assert status["poses"] == NO_POSES
     assert status["other"] == {"ignored": 0}
     source = {"run": "", "last_seq": 0, "received": 3, "pending": 0, "integrated": 3}
-    source |= {"dropped": {}, "hints": [], "lost": 0}
+    source |= {"dropped": {}, "hints": [], "lost": 0, "beams_on_robots": 0}
     robot = {"pose": [0.25, 0.25, 0.0], "stamp": 1_700_000_000_000_000_003, "sources": {"s": source}}
     assert 0.0 <= status["robots"]["r"].pop("age_s") < 60.0
     assert status["robots"] == {"r": robot | {"alive": False}}
@@ -164,6 +164,7 @@ def test_metrics_are_prometheus_text_and_say_what_status_says(mapper):
         ("ogm_poses_restarted_total",): 0,
         ("ogm_poses_ambiguous_total",): 0,
         **{(f"ogm_{of}_{what}_total",): 0 for of in ("scans", "poses") for what in ("lost", "replayed")},
+        ("ogm_beams_on_robots_total",): 0,
         ("ogm_messages_ignored_total",): status["other"]["ignored"],
         ("ogm_map_revision",): 3,
         ("ogm_map_bytes",): status["map_info"]["bytes"],

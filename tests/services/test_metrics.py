@@ -41,6 +41,7 @@ def test_metrics_say_what_the_status_says():
         ("ogm_scans_dropped_total", "map=hall", "reason=no_pose"): 7,
         ("ogm_scans_lost_total", "map=hall"): 8,
         ("ogm_scans_replayed_total", "map=hall"): 9,
+        ("ogm_beams_on_robots_total", "map=hall"): 12,
         ("ogm_poses_lost_total", "map=hall"): 10,
         ("ogm_poses_replayed_total", "map=hall"): 11,
         ("ogm_poses_received_total", "map=hall"): 60,

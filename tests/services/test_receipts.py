@@ -13,8 +13,8 @@ from status_json import NO_POSES, as_json
 
 NOTHING_DROPPED = dict.fromkeys(DROP_REASONS, 0)
 NOWHERE = {"pose": None, "stamp": None, "alive": False, "age_s": None, "sources": {}}
-QUIET = {"dropped": {}, "hints": [], "lost": 0}
-NOTHING_BESIDE = {"lost": 0, "replayed": 0}
+QUIET = {"dropped": {}, "hints": [], "lost": 0, "beams_on_robots": 0}
+NOTHING_BESIDE = {"lost": 0, "replayed": 0, "beams_on_robots": 0}
 
 
 def test_an_empty_ledger_has_every_name_of_the_status():
@@ -35,7 +35,7 @@ def test_scans_are_counted_by_source_and_in_total():
     for robot, sensor in (("a", "s"), ("a", "s"), ("a", "t"), ("b", "s"), ("b", "s")):
         receipts.scan_received(robot, sensor)
     receipts.scan_taken("a", "s", "run1", 4)
-    receipts.scan_integrated("a", "s")
+    receipts.scan_integrated("a", "s", 7)
     receipts.scan_taken("b", "s", "run2", 9)
     receipts.scan_dropped("b", "s", "stale")
     receipts.scan_dropped("b", "s", "malformed")
@@ -46,12 +46,15 @@ def test_scans_are_counted_by_source_and_in_total():
         "pending": 2,
         "dropped": {**NOTHING_DROPPED, "stale": 1, "malformed": 1},
         **NOTHING_BESIDE,
+        "beams_on_robots": 7,
     }
     assert status["robots"]["a"]["sources"] == {
-        "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1} | QUIET,
+        "s": {"run": "run1", "last_seq": 4, "received": 2, "pending": 1, "integrated": 1}
+        | QUIET
+        | {"beams_on_robots": 7},
         "t": {"run": "", "last_seq": None, "received": 1, "pending": 1, "integrated": 0} | QUIET,
     }
-    dropped = {"dropped": {"stale": 1, "malformed": 1}, "hints": [], "lost": 0}
+    dropped = {"dropped": {"stale": 1, "malformed": 1}, "hints": [], "lost": 0, "beams_on_robots": 0}
     assert status["robots"]["b"]["sources"] == {
         "s": {"run": "run2", "last_seq": 9, "received": 2, "pending": 0, "integrated": 0} | dropped
     }

@@ -74,6 +74,7 @@ def run_build(
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
     complaints += [f"sensors: {glob}: no sensor of this log is called so" for glob in feed.sensors.unmatched]
+    complaints += [f"robots: {glob}: no robot of this log is called so" for glob in feed.robots.unmatched]
     if messages.doubt:
         complaints.append(f"{log}: {messages.doubt}")
     for line in complaints:
@@ -185,6 +186,8 @@ def _report(messages: LogReader, receipts: Receipts, first: _MapPass) -> str:
     if first.held:
         parts.append(f"{len(first.held)} held out")
     parts += [f"{count} dropped: {reason}" for reason, count in counts.scans.dropped.items() if count]
+    if counts.scans.beams_on_robots:
+        parts.append(f"{counts.scans.beams_on_robots} beams skipped that ended at other robots")
     parts += [f"{count} poses {what}" for what, count in counts.poses.odd.items()]
     if messages.malformed:
         parts.append(f"{messages.malformed} malformed {messages.unit} ({'; '.join(messages.complaints)})")

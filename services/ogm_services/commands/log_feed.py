@@ -5,10 +5,13 @@ from typing import Protocol
 from ogm_core.errors import BadMessage
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.placing.hints import Hints
+from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.reasons import too_many_robots, too_many_sensors
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.robot_rules import RobotRules
 from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer, ScanSink
 from ogm_core.placing.sensor_rules import SensorRules
+from ogm_core.sensor_models.hits import hits_near_by
 from ogm_core.types import Scan
 from ogm_services.commands.log_readers import LogReader
 from ogm_services.runtime.complaints import Complaints
@@ -35,12 +38,21 @@ class LogFeed:
         self.receipts = Receipts()
         self.complaints = Complaints()
         self.sensors = SensorRules(settings.sensor_rules())
+        self.robots = RobotRules(settings.robot_rules())
+        self._mark_hits = hits_near_by(settings.grid_settings())
         self._rules = settings.placing_rules()
         self._hold_out = hold_out
 
     def run(self, messages: LogReader, sink: LogSink, text: str, hints: Hints | None = None) -> None:
         """Send every message to `sink`, up to and including what waits for poses; `text` names the pass."""
-        placer = ScanPlacer(sink, self.receipts, self.complaints.add, self._rules, hints)
+
+        def replaced(scan: Scan, without_robots: Scan) -> None:
+            if scan in sink.withheld:
+                sink.withheld.remove(scan)
+                sink.withheld.add(without_robots)
+
+        others = OtherRobots(self.robots, self._mark_hits, replaced)
+        placer = ScanPlacer(sink, self.receipts, self.complaints.add, self._rules, hints, other_robots=others)
         index = 0
         with progress_bar(text, messages.size) as show:
             for message in messages:

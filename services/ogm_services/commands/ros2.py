@@ -31,12 +31,12 @@ from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.rmw_zenoh import RmwZenohSource
 from ogm_services.ros2.robots import Robots
 from ogm_services.runtime.limited_log import LimitedLog
-from ogm_services.settings.entries import parse_entry
+from ogm_services.settings.entries import check_for_whom
 from ogm_services.settings.settings import Settings
 
 LISTEN = 3.0
 """How long `--list` listens for topics, s: on DDS those of others are told one after the other."""
-OURS = frozenset({"match", "mount", "deskew"})
+OURS = frozenset({"mount", "deskew"})
 """The keys of --sensor that are decided here; the mapper decides the others."""
 
 log = logging.getLogger(__name__)
@@ -185,13 +185,14 @@ def check_sensors(texts: list[str] | None) -> None:
     Raises:
         BadSetting: there is such a key.
     """
-    for text in texts or ():
-        others = parse_entry("sensors", text, "--sensor").keys() - OURS
-        for key in sorted(others):
-            raise BadSetting(
-                f"sensors.{key}: that is for the mapper: ogm mapper --sensor {text!r}; here mount and deskew "
-                "can be given (--sensor)"
-            )
+    mapper = "the mapper: ogm mapper --sensor {!r}; here mount and deskew can be given"
+    check_for_whom("sensors", texts or (), "--sensor", OURS, mapper)
+
+
+def check_robots(texts: list[str] | None) -> None:
+    """The same of --robot."""
+    mapper = "the mapper: ogm mapper --robot {!r}; here origin and name can be given"
+    check_for_whom("robots", texts or (), "--robot", {"origin", "name"}, mapper)
 
 
 def _tell(account: Account) -> None:

@@ -218,12 +218,19 @@ def ros2(
         raise BadInput("--json: it goes with --list")
     with logged_service(*settings.log.as_given):
         with loading():
-            from ogm_services.commands.ros2 import Published, check_sensors, list_topics, run_ros2
+            from ogm_services.commands.ros2 import (
+                Published,
+                check_robots,
+                check_sensors,
+                list_topics,
+                run_ros2,
+            )
         networks = where.networks()
         if listed:
             list_topics(networks, as_json=as_json)
         else:
             check_sensors(sensor)
+            check_robots(robot)
             published = Published(publish.publish_map, publish.publish_probabilities)
             run_ros2(networks, topics.options(), settings, published)
 

@@ -25,6 +25,7 @@ WHAT_HELPS: Mapping[str, str] = {
 LOST_HELPS = (
     "never arrived, and nobody has them any more: a publisher keeps its newest cache_samples, while it runs"
 )
+ON_ROBOTS_MEANS = "skipped, as the radius of other robots in the settings says"
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"
 
 
@@ -61,6 +62,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "poses": _poses(status.poses),
         "lost": _scans_and_poses(scans.lost, status.poses.lost),
         "replayed": _scans_and_poses(scans.replayed, status.poses.replayed),
+        "on robots": f"{scans.beams_on_robots} beams" if scans.beams_on_robots else "",
         "ignored": status.other.ignored,
         "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
         "known": f"{info.known_cells} cells",
@@ -106,7 +108,7 @@ def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
 
 
 def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
-    """A row for every reason that scans of a sensor were dropped for, for those lost, and for every hint."""
+    """A row for every reason that scans of a sensor, or beams, are not in the map for, and for every hint."""
     table = plain_table("source", "not in the map", "what helps")
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
@@ -114,6 +116,10 @@ def _wrong(robots: Mapping[str, RobotStatus]) -> Table:
                 table.add_row(f"{name}/{sensor}", f"{count} {reason}", WHAT_HELPS.get(reason, ""))
             if source.lost:
                 table.add_row(f"{name}/{sensor}", f"{source.lost} lost", LOST_HELPS)
+            if source.beams_on_robots:
+                table.add_row(
+                    f"{name}/{sensor}", f"{source.beams_on_robots} beams on robots", ON_ROBOTS_MEANS
+                )
             for hint in source.hints:
                 table.add_row(f"{name}/{sensor}", f"hint: {hint}", HINT_HELPS)
     return table

@@ -1,6 +1,6 @@
 """Entries of settings that are lists of mappings: each says what holds for all that its `match` matches."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -60,3 +60,14 @@ def parse_entry(section: str, text: str, source: str) -> Mapping[str, Any]:
     if not (colon and entry["match"] and len(entry) > 1):
         raise BadSetting(f"{section}: {FORM} is needed, got {text!r} ({source})")
     return entry
+
+
+def check_for_whom(section: str, texts: Iterable[str], flag: str, ours: Collection[str], others: str) -> None:
+    """Refuse what a flag says that another command is to be told; `others` says in words which, and how.
+
+    Raises:
+        BadSetting: there is a key that is not `ours`.
+    """
+    for text in texts:
+        for key in sorted(parse_entry(section, text, flag).keys() - {"match", *ours}):
+            raise BadSetting(f"{section}.{key}: that is for {others.format(text)} ({flag})")

@@ -16,11 +16,12 @@ from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 import typer
 
 from ogm_core.cells.log_odds import CellType
+from ogm_core.errors import BadInput
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.runtime.log_lines import log_to_stderr, tell
 from ogm_services.settings.described import described
-from ogm_services.settings.entries import FORM
+from ogm_services.settings.entries import FORM, check_for_whom
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, settings_and_origins
 from ogm_services.settings.values import LogFormat, LogLevel, Preset
@@ -243,7 +244,13 @@ class LogFlags:
         ),
     ] = None
     robot: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Rename the log's one robot.", rich_help_panel="Log")
+        list[str] | None,
+        typer.Option(
+            metavar=f"NAME|{FORM}",
+            help="Rename the log's one robot; or what robots do not say: radius, in a bag origin, name "
+            "(repeatable).",
+            rich_help_panel="Log",
+        ),
     ] = None
     odometry: Annotated[
         bool,
@@ -253,6 +260,23 @@ class LogFlags:
             rich_help_panel="Log",
         ),
     ] = False
+
+    @property
+    def name(self) -> str | None:
+        """The new name of the log's robot.
+
+        Raises:
+            BadInput: there are several.
+        """
+        names = [text for text in self.robot or () if ":" not in text]
+        if len(names) > 1:
+            raise BadInput(f"--robot: the log's one robot gets one name, not {' and '.join(names)}")
+        return names[0] if names else None
+
+    @property
+    def robots(self) -> list[str]:
+        """What is said of robots, GLOB:KEY=VALUE,... of each."""
+        return [text for text in self.robot or () if ":" in text]
 
 
 Url = Annotated[
@@ -292,6 +316,37 @@ RobotFlags = Annotated[
         help="What a robot of ROS 2 does not say: origin, name; GLOB is that of its name (repeatable).",
     ),
 ]
+
+
+RadiusFlags = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--robot",
+        metavar=FORM,
+        help="What a robot does not say: radius, within which others see it; GLOB is that of its name "
+        "(repeatable).",
+        rich_help_panel=PANELS["map"],
+    ),
+]
+
+
+def check_radii(texts: list[str] | None) -> None:
+    """Refuse what --robot says that is not the mapper's to know.
+
+    Raises:
+        BadSetting: there is such a key.
+    """
+    check_for_whom("robots", texts or (), "--robot", {"radius"}, "ogm ros2: ogm ros2 --robot {!r}")
+
+
+def check_replayed(texts: list[str]) -> None:
+    """Refuse what --robot says of a log's robots that is the mapper's to know.
+
+    Raises:
+        BadSetting: there is such a key.
+    """
+    mapper = "the mapper: ogm mapper --robot {!r}; here origin and name can be given, of a bag's robots"
+    check_for_whom("robots", texts, "--robot", {"origin", "name"}, mapper)
 
 
 def settings_from(

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from ogm_core.placing.sensor_rules import MAX_TIME_OFFSET, Beyond, Deskew, SensorRule
 from ogm_core.types import Pose
 from ogm_core.wire.messages import MAX_RANGE
-from ogm_services.settings.values import Finite, NotNegative, Positive, parse_pose
+from ogm_services.settings.values import Finite, NotNegative, Positive, no_switch, parse_pose
 
 _SWITCHES = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 
@@ -27,12 +27,6 @@ def _deskew(value: object) -> object:
     return {True: "auto", False: "off"}[value] if isinstance(value, bool) else value
 
 
-def _number(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("a number is needed")  # noqa: TRY004 (pydantic collects ValueErrors only)
-    return value
-
-
 def _of_source(glob: str) -> str:
     if "/" not in glob and not glob.endswith("*"):
         raise ValueError("the name of a robot's sensor is needed, such as r1/laser or */laser")
@@ -40,8 +34,8 @@ def _of_source(glob: str) -> str:
 
 
 Switch = Annotated[bool | None, BeforeValidator(_switch)]
-Range = Annotated[NotNegative, Field(le=MAX_RANGE), BeforeValidator(_number)]
-Offset = Annotated[Finite, Field(ge=-MAX_TIME_OFFSET, le=MAX_TIME_OFFSET), BeforeValidator(_number)]
+Range = Annotated[NotNegative, Field(le=MAX_RANGE), BeforeValidator(no_switch)]
+Offset = Annotated[Finite, Field(ge=-MAX_TIME_OFFSET, le=MAX_TIME_OFFSET), BeforeValidator(no_switch)]
 Mount = Annotated[Pose, BeforeValidator(parse_pose)]
 
 
@@ -56,7 +50,7 @@ class SensorSettings(BaseModel):
     range_max: Range | None = None
     beyond: Beyond | None = None
     clear_range: Range | None = None
-    reach: Annotated[Positive | None, BeforeValidator(_number)] = None
+    reach: Annotated[Positive | None, BeforeValidator(no_switch)] = None
     ignore_no_return: Switch = None
     deskew: Annotated[Deskew | None, BeforeValidator(_deskew)] = None
     mount: Mount | None = None

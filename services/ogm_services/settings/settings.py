@@ -34,6 +34,7 @@ from ogm_core.grid_settings import (
     Traversal,
 )
 from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
+from ogm_core.placing.robot_rules import RobotRule
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
@@ -288,6 +289,10 @@ class Settings(BaseModel):
     def sensor_rules(self) -> list[SensorRule]:
         """What is known of the sensors, the first to look at first."""
         return [sensor.rule() for sensor in self.sensors]
+
+    def robot_rules(self) -> list[RobotRule]:
+        """What is known of the robots, likewise."""
+        return [robot.rule() for robot in self.robots]
 
     def to_yaml(self, *, secrets: bool = False) -> str:
         """Every setting that was given, as a file from which `load_settings` makes equal settings.

@@ -58,6 +58,17 @@ def parse_number(text: str) -> float:
     return float(text)
 
 
+def no_switch(value: object) -> object:
+    """The value of a number as it is given.
+
+    Raises:
+        ValueError: it is true or false, which pydantic would take for 1 or 0.
+    """
+    if isinstance(value, bool):
+        raise ValueError("a number is needed")  # noqa: TRY004 (pydantic collects ValueErrors only)
+    return value
+
+
 def address_without_port(text: str) -> str:
     """The address or name of a host as it is given.
 

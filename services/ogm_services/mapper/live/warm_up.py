@@ -14,10 +14,11 @@ from ogm_core.files.map_files import encode_json, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.sensor_models.hits import hits_near_by
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
-from ogm_core.types import Pose, Scan, Sweep
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.signals import MakeWay
@@ -31,6 +32,7 @@ def warm_up(settings: GridSettings) -> None:
     scratch = LiveMap(OccupancyGrid(small))
     scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
+    hits_near_by(small)(PlacedScan(scan, pose), np.zeros((1, 1, 3)), np.zeros(scan.ranges.size, np.bool_))
     scratch.info()
     encode_png(scratch.snapshot())
 

@@ -108,6 +108,8 @@ def _scans(scans: ScanCounts) -> Iterator[Metric]:
     yield _counters("ogm_scans_dropped_total", dropped, "reason", scans.dropped)
     yield CounterMetricFamily("ogm_scans_lost_total", "Scans that never arrived.", scans.lost)
     yield CounterMetricFamily("ogm_scans_replayed_total", "Scans that came again.", scans.replayed)
+    on_robots = "Beams that were skipped because they ended at another robot."
+    yield CounterMetricFamily("ogm_beams_on_robots_total", on_robots, scans.beams_on_robots)
 
 
 def _poses(poses: PoseCounts) -> Iterator[Metric]:
