@@ -81,3 +81,13 @@ def occupancy_grid(stamp, frame, resolution, shape, origin, data):
 
 def occupancy_grid_update(stamp, frame, corner, shape, data):
     return Cdr().header(stamp, frame).put("iiII", *corner, *shape).row("b", data).bytes
+
+
+def ogm_pose(stamp, seq, run, pose):
+    return Cdr().put("qq", stamp, seq).text(run).put("ddd", *pose).bytes
+
+
+def ogm_scan(stamp, seq, run, numbers, mount, pose, ranges):
+    """`numbers`: angle_min, angle_increment, time_increment, range_min, range_max; `pose` may be ()."""
+    head = Cdr().put("qq", stamp, seq).text(run).put("ddddd", *numbers).put("ddd", *mount)
+    return head.row("d", pose).row("f", ranges).bytes

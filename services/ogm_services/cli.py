@@ -195,7 +195,7 @@ def simulate(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz), without network."
+            metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz, .mcap), without network."
         ),
     ] = None,
     connect_timeout: Annotated[

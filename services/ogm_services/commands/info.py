@@ -12,7 +12,9 @@ from ogm_core.errors import BadRecording, printable
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.ros2.bag_files import BagFile, is_bag
 from ogm_services.commands.log_readers import AS_IT_SAYS, log_reader
+from ogm_services.commands.recording_info import of_recording
 from ogm_services.ros2.bag_topics import Edge, edges_in
+from ogm_services.ros2.mcap_reader import holds_recording
 from ogm_services.settings.settings import Settings
 
 _ROWS = 24
@@ -26,8 +28,12 @@ def run_info(file: Path, *, as_json: bool) -> None:
         BadRecording: it cannot be read at all.
         MissingExtra: it is a bag, and rosbags is not installed.
     """
-    found = _of_bag(file) if is_bag(file) else {"file": str(file), "kind": "log"}
-    found |= _as_log(file, needed=not is_bag(file))
+    recording = holds_recording(file)
+    if recording:
+        found = of_recording(file)
+    else:
+        found = _of_bag(file) if is_bag(file) else {"file": str(file), "kind": "log"}
+    found |= _as_log(file, needed=not (recording or is_bag(file)))
     typer.echo(json.dumps(found, indent=2) if as_json else "\n".join(_lines(found)))
 
 

@@ -1,4 +1,4 @@
-"""Readers of logs, by what the log is: text of any known format, or a bag."""
+"""Readers of logs, by what the log is: text of any known format, an MCAP recording, or a bag."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -12,11 +12,12 @@ from ogm_core.logs.recordings import RecordingReader
 from ogm_core.ros2.bag_files import is_bag
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
 from ogm_services.ros2.bag_reader import BagOptions, BagReader
+from ogm_services.ros2.mcap_reader import McapReader, holds_recording
 from ogm_services.settings.settings import Settings
 
 
 class LogReader(AbstractContextManager["LogReader"], Protocol):
-    """What a RecordingReader and a BagReader have in common; see there."""
+    """What a RecordingReader, an McapReader and a BagReader have in common; see there."""
 
     scans: int
     poses: int
@@ -71,8 +72,10 @@ def log_reader(
 
     Raises:
         BadRecording: what was said of it is for another kind of log.
+        MissingExtra: it is an MCAP recording, and mcap is not installed.
     """
-    if is_bag(log):
+    recording = holds_recording(log)
+    if is_bag(log) and not recording:
         if read_as.odometry:
             raise BadRecording(
                 f"{log}: --odometry is for CARMEN logs; --fixed-frame odom takes a bag's odometry"
@@ -88,6 +91,10 @@ def log_reader(
         raise BadRecording(
             f"{log}: --scan-topic, --fixed-frame, --mount, --scan-delay and --pose-topic are for bags"
         )
+    if recording:
+        if read_as.odometry:
+            raise BadRecording(f"{log}: --odometry is for CARMEN logs; a recording has the poses it has")
+        return lambda: McapReader(log, range_max=read_as.range_max, robot=read_as.robot, max_beams=max_beams)
     return lambda: RecordingReader(
         log,
         range_max=read_as.range_max,

@@ -27,6 +27,7 @@ from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.queryables import Queryables
 from ogm_services.replies.turns import Turns
+from ogm_services.ros2.mcap_file import MCAP_SUFFIX, write_mcap
 from ogm_services.settings.settings import NetworkSettings
 
 SENSOR = "laser"
@@ -95,6 +96,7 @@ def record(options: SimulatorOptions, out: Path) -> None:
 
     Raises:
         BadRecording, DiskFull: the file cannot be written.
+        MissingExtra: it is an MCAP, and mcap is not installed.
         BadWorld, BadSetting: there is no such world, or no such LiDAR.
     """
     simulation = Simulation(options)
@@ -106,7 +108,10 @@ def record(options: SimulatorOptions, out: Path) -> None:
             yield from simulation.messages(step, round(step * period), run)
 
     try:
-        write_jsonl(out, messages())
+        if out.suffix.lower() == MCAP_SUFFIX:
+            write_mcap(out, messages())
+        else:
+            write_jsonl(out, messages())
     except (BadRecording, DiskFull) as error:
         raise type(error)(f"--out {error}") from error
     typer.echo(f"{out}: {options.scans} scans each of {', '.join(simulation.robots)}")
