@@ -140,9 +140,16 @@ class MapSnapshot:
         left, bottom = (part.ix - self.rect.ix) // self.factor, (part.iy - self.rect.iy) // self.factor
         right = _divided_up(part.ix + part.width - self.rect.ix, self.factor)
         top = _divided_up(part.iy + part.height - self.rect.iy, self.factor)
-        offset = self.offset[0] + left * self.factor, self.offset[1] + bottom * self.factor
-        part_of = self.stored.part(slice(bottom, top), slice(left, right))
-        return replace(self, stored=part_of, offset=offset)
+        return self._part(slice(bottom, top), slice(left, right))
+
+    def part(self, rect: CellRect) -> "MapSnapshot":
+        """The cells of `rect`, which lies in the map; of a map that was not shrunk."""
+        south, west = rect.iy - self.rect.iy, rect.ix - self.rect.ix
+        return self._part(slice(south, south + rect.height), slice(west, west + rect.width))
+
+    def _part(self, rows: slice, columns: slice) -> "MapSnapshot":
+        offset = self.offset[0] + columns.start * self.factor, self.offset[1] + rows.start * self.factor
+        return replace(self, stored=self.stored.part(rows, columns), offset=offset)
 
     def shrink(self, max_size: int) -> "MapSnapshot":
         """The map with square blocks of cells in place of cells, by the smallest whole factor that fits.

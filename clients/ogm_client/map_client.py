@@ -1,7 +1,6 @@
 """Client of a running mapper, over Zenoh or HTTP: asks for its map and its status."""
 
 import math
-import numbers
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from ogm_client.errors import BadReply, CannotConnect, MapperError, NobodyAnswered
 from ogm_client.map_grid import MapGrid
+from ogm_client.map_queries import MapQueries
+from ogm_client.parameters import Value, texts
 from ogm_client.session import NetworkConfig
 from ogm_client.status_reply import read_erasure, read_snapshot, read_snapshots, read_status
 from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
@@ -31,11 +32,8 @@ DEFAULT_PATIENCE = 60.0
 DEFAULT_MAP = "default"
 _UNAVAILABLE = 503
 
-Value = str | ArrayLike | None
-"""A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
 
-
-class MapClient:
+class MapClient(MapQueries):
     """A connection to the mapper of one map.
 
         with MapClient() as mapper:
@@ -92,10 +90,10 @@ class MapClient:
             MapperError: the region is inverted, not finite, or wholly outside the map; or no map is saved
                 under the name ("unknown-snapshot").
         """
-        return self._grid(self._transport.fetch_map(_texts({"region": region, "at": at})))
+        return self._grid(self._transport.fetch_map(texts({"region": region, "at": at})))
 
     def fetch(self, name: str, /, **parameters: Value) -> bytes:
-        """The bytes of map.png, map.json, map.pgm, map.yaml, map.npz, cell, quality, status or snapshots.
+        """The bytes of map.png (json, pgm, yaml, npz), cell, quality, status, snapshots or raycast.
 
         The parameters are those of the HTTP route, such as `palette="probability"`, `max_size=500`,
         `region=(-1, -1, 1, 1)` or `at="monday"`.
@@ -108,7 +106,7 @@ class MapClient:
             raise BadParameter(f"{name!r} cannot be fetched, only {', '.join(NAMES)}")
         if "format" in parameters:
             raise BadParameter(f"format: the name says it, {name}")
-        return self._transport.fetch(name, _texts(parameters))
+        return self._transport.fetch(name, texts(parameters))
 
     def status(self) -> Status:
         """What the mapper has received, integrated and dropped, and from whom.
@@ -162,7 +160,7 @@ class MapClient:
         if (region is None) == (polygon is None):
             raise BadParameter("region or polygon: one of them is needed, to say where")
         corners = None if polygon is None else _corners(polygon)
-        given = _texts({"region": region, "polygon": corners})
+        given = texts({"region": region, "polygon": corners})
         return read_erasure(self._transport.write("erase", given)).cells
 
     def snapshots(self) -> list[SnapshotInfo]:
@@ -293,24 +291,3 @@ def _corners(polygon: ArrayLike) -> list[float]:
         raise BadParameter(f"polygon: corners (x, y) are needed, got an array of shape {corners.shape}")
     numbers: list[float] = corners.ravel().tolist()
     return numbers
-
-
-def _texts(parameters: dict[str, Value]) -> dict[str, str]:
-    """The parameters that are given, as text; floats in the shortest form that reads back the same."""
-    return {name: _text(name, value) for name, value in parameters.items() if value is not None}
-
-
-def _text(name: str, value: Any) -> str:  # noqa: ANN401 - a Value, or a mistake
-    if isinstance(value, str):
-        if ";" in value:
-            raise BadParameter(f"{name}: {value!r} contains a ';', which separates parameters")
-        return value
-    parts: Any = [value] if isinstance(value, numbers.Real) else value
-    try:
-        return ",".join(_number(part) for part in parts)
-    except (TypeError, ValueError) as error:
-        raise BadParameter(f"{name}: a text, a number or several are needed, got {value!r}") from error
-
-
-def _number(value: float) -> str:
-    return str(value) if type(value) is int else repr(float(value))

@@ -2,16 +2,15 @@
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm_client.grid_queries import GridQueries
 from ogm_client.notebook import html_of
-from ogm_client.raycast import Ray, RayCaster, Rays
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
@@ -25,7 +24,7 @@ from ogm_core.whole_files import whole_file, write_files
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapGrid:
+class MapGrid(GridQueries):
     """Log odds of the cells of a rectangle of the map, and where it lies.
 
     Arrays are [iy, ix], shape (height, width), row 0 is the south edge. Two kinds of index meet here:
@@ -145,46 +144,6 @@ class MapGrid:
         # Cropping moves cells without reading them, so they may stay as they are.
         part = self._snapshot_of(self.log_odds).crop(_region(region))
         return replace(self, log_odds=part.cells.copy(), offset=part.offset)
-
-    @overload
-    def raycast(self, x: float, y: float, theta: float, max_range: float = math.inf) -> Ray: ...
-    @overload
-    def raycast(
-        self, x: float, y: float, theta: NDArray[Any] | Sequence[float], max_range: float = math.inf
-    ) -> Rays: ...
-    def raycast(
-        self,
-        x: float,
-        y: float,
-        theta: float | NDArray[Any] | Sequence[float],
-        max_range: float = math.inf,
-    ) -> Ray | Rays:
-        """What a beam from the point (x, y), m, along `theta` would read in this map.
-
-            wall = grid.raycast(1.0, 2.0, math.pi / 2).range
-            scan = grid.raycast(x, y, theta + bearings, max_range=30.0).range
-
-        `theta` in rad, counter-clockwise from the map's x axis; of an array, a ray each, and the result's
-        arrays have its shape. A ray ends where it enters the first cell that is not free, as `occupancy` has
-        it, at the latest where it leaves this grid, or after `max_range` m. The cell that it starts in is
-        not asked. (Amanatides & Woo 1987.)
-
-        Raises:
-            BadParameter: the point or `theta` is not finite, the point lies outside this grid, or
-                `max_range` is not positive.
-            MapEmpty: there is no cell.
-        """
-        bearings = np.asarray(theta, np.float64)
-        if not np.isfinite(bearings).all():
-            raise BadParameter("theta: finite radians are needed")
-        caster = RayCaster(self.log_odds, self._lattice, self.offset, (x, y), max_range)
-        if bearings.ndim == 0:
-            return caster.cast(float(bearings))
-        rays = [caster.cast(bearing) for bearing in bearings.ravel().tolist()]
-        return Rays(
-            np.array([ray.range for ray in rays], np.float64).reshape(bearings.shape),
-            np.array([ray.found for ray in rays], np.str_).reshape(bearings.shape),
-        )
 
     def to_png(self, palette: str = "ros", max_size: int | None = None) -> bytes:
         """An 8-bit grey PNG, north up, a pixel per cell.

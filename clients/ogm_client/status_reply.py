@@ -3,7 +3,7 @@
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
 from ogm_client.transport import json_object, printable
@@ -19,6 +19,7 @@ _WORDS = {
 }
 _END = 2**64
 """Numbers are smaller, whatever their sign; an infinite one is not, and NaN is neither."""
+_T = TypeVar("_T")
 
 
 def read_status(payload: bytes) -> Status:
@@ -61,6 +62,16 @@ def read_snapshots(payload: bytes) -> list[SnapshotInfo]:
     """
     listed: SnapshotList = _value(SnapshotList, json_object("snapshots", payload), ("snapshots",))
     return listed.snapshots
+
+
+def read_reply(kind: type[_T], what: str, payload: bytes) -> _T:
+    """A JSON object as a dataclass; the text of an error names `what`.
+
+    Raises:
+        BadReply: it is something else.
+    """
+    reply: _T = _value(kind, json_object(what, payload), (what,))
+    return reply
 
 
 def _value(kind: Any, given: Any, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - JSON, and what is made of it

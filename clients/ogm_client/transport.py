@@ -9,7 +9,10 @@ from ogm_core import errors
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Write
 
-NAMES = ("map.png", "map.json", "map.pgm", "map.yaml", "map.npz", "cell", "quality", "status", "snapshots")
+NAMES = (
+    *("map.png", "map.json", "map.pgm", "map.yaml", "map.npz"),
+    *("cell", "quality", "status", "snapshots", "raycast"),
+)
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
 
 Parameters = Mapping[str, str]

@@ -33,6 +33,7 @@ _SERVICE_OF: Mapping[str, Service] = {
     "quality": "quality",
     "status": "status",
     "snapshots": "snapshots",
+    "raycast": "raycast",
 }
 
 

@@ -7,13 +7,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
+from ogm_core.queries.ray_kernel import cast_ray
 from ogm_core.sensor_models.beams import HIT, KIND, NO_RETURN, SKIPPED, BeamModel, classify
 from ogm_core.sensor_models.bresenham import FRACTION_BITS, clipped_line, counted_from
 
 BELIEF_FREE, BELIEF_UNDECIDED, BELIEF_OCCUPIED = 1, 2, 3
 """Beliefs about a cell; 0 is unknown."""
-FOUND_WALL, FOUND_NOTHING, FOUND_UNKNOWN = 0, 1, 2
-"""Where a cast ray ends."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -47,40 +46,6 @@ def agreement(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cast_ray(
-    u: float, v: float, bearing: float, longest: float, beliefs: NDArray[np.uint8]
-) -> tuple[int, float]:
-    """Follow a ray from (u, v) until it enters a cell that is not free; lengths in cells.
-
-    u, v are counted from the lower-left corner of `beliefs`, shape (h, w), [iy, ix]; what lies outside is
-    unknown. The cell that the ray starts in is not asked. Returns where the ray ends (FOUND_WALL,
-    FOUND_NOTHING within `longest`, FOUND_UNKNOWN for an unknown or undecided cell) and the distance at
-    which it enters that cell. Amanatides & Woo 1987.
-    """
-    height, width = beliefs.shape
-    du, dv = math.cos(bearing), math.sin(bearing)
-    i, j = math.floor(u), math.floor(v)
-    si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
-    next_u = (i + (si > 0) - u) / du if du != 0.0 else math.inf
-    next_v = (j + (sj > 0) - v) / dv if dv != 0.0 else math.inf
-    while True:
-        if next_u <= next_v:
-            distance = next_u
-            i += si
-            next_u = (i + (si > 0) - u) / du
-        else:
-            distance = next_v
-            j += sj
-            next_v = (j + (sj > 0) - v) / dv
-        if distance > longest:
-            return FOUND_NOTHING, longest
-        if not (0 <= i < width and 0 <= j < height) or beliefs[j, i] in (0, BELIEF_UNDECIDED):
-            return FOUND_UNKNOWN, distance
-        if beliefs[j, i] == BELIEF_OCCUPIED:
-            return FOUND_WALL, distance
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def predict_ranges(
     ranges: NDArray[np.float32],
     beam: BeamModel,
@@ -94,7 +59,7 @@ def predict_ranges(
 
     `sensor` holds the sensor's poses (u, v, theta), u and v in cells from the lower-left corner of `beliefs`:
     shape (1, 3), or (N, 3) with one a beam. Returns shape
-    (3, n): measured range in m, where the cast ray ends (see `cast_ray`), predicted range in m.
+    (3, n): measured range in m, where the cast ray ends (see `ray_kernel.cast_ray`), predicted range in m.
     """
     judged = np.empty((3, ranges.size))
     n = 0
@@ -105,7 +70,19 @@ def predict_ranges(
             continue
         p = k if len(sensor) > 1 else 0
         bearing = sensor[p, 2] + (beam.angle_min + k * beam.angle_increment)
-        found, distance = cast_ray(sensor[p, 0], sensor[p, 1], bearing, longest / resolution, beliefs)
+        found, distance = cast_ray(
+            sensor[p, 0],
+            sensor[p, 1],
+            math.cos(bearing),
+            math.sin(bearing),
+            longest / resolution,
+            False,
+            0,
+            0,
+            beliefs,
+            BELIEF_FREE,
+            BELIEF_OCCUPIED,
+        )
         judged[0, n], judged[1, n], judged[2, n] = measured, found, distance * resolution
         n += 1
     return judged[:, :n].copy()

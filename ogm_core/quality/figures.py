@@ -14,6 +14,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
+from ogm_core.queries.rays import FOUND_UNKNOWN, FOUND_WALL
 from ogm_core.sensor_models import beams
 from ogm_core.sensor_models.projection import beam_model, project, read_only, sensor_poses
 from ogm_core.snapshot import MapSnapshot
@@ -178,7 +179,7 @@ def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[Plac
     parts = [_predict(snapshot, settings, beliefs, placed) for placed in scans]
     measured, found, predicted = np.concatenate([np.empty((3, 0)), *parts], axis=1)
     error = np.abs(predicted - measured)
-    walls = found == agreement.FOUND_WALL
+    walls = found == FOUND_WALL
     judged = measured.size
 
     def share(beams: NDArray[np.bool_]) -> float | None:
@@ -189,7 +190,7 @@ def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[Plac
         "median_abs_m": float(np.median(error[walls])) if walls.any() else None,
         "within_0_1_m": share(walls & (error <= 0.1)),
         "within_0_2_m": share(walls & (error <= 0.2)),
-        "into_unknown": share(found == agreement.FOUND_UNKNOWN),
+        "into_unknown": share(found == FOUND_UNKNOWN),
     }
 
 

@@ -18,8 +18,10 @@ MAX_TRUTH_BYTES = 256 * 1024
 
 Write = Literal["reset", "erase", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
+Query = Literal["raycast"]
+"""What is computed from a map for who asks."""
 Service = Literal[
-    "map", "cell", "quality", "status", "snapshots", "reset", "erase", "save", "restore", "delete"
+    "map", "cell", "quality", "status", "snapshots", "raycast", "reset", "erase", "save", "restore", "delete"
 ]
 
 

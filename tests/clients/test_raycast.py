@@ -7,16 +7,14 @@ import pytest
 
 import naive
 from ogm_client import MapGrid, Ray
+from ogm_client.raycast import WORDS
 from ogm_core.errors import BadParameter, MapEmpty
-from ogm_core.quality import agreement
+from ogm_core.lattice import CellRect, Lattice
+from ogm_core.queries.ray_kernel import cast_rays
+from ogm_core.queries.rays import FOUND_NOTHING, directions_of, start_of, window_of
 
 EMPTY, WALL, UNDECIDED, UNKNOWN = -2.0, 2.0, 0.0, math.nan
 QUARTER = math.pi / 2
-WORDS = {
-    agreement.FOUND_WALL: "occupied",
-    agreement.FOUND_UNKNOWN: "unknown",
-    agreement.FOUND_NOTHING: "nothing",
-}
 
 
 def grid_of(log_odds, **where):
@@ -98,34 +96,41 @@ def test_many_rays_are_as_each_alone():
     assert ROOM.raycast(x, y, []).range.shape == ROOM.raycast(x, y, []).found.shape == (0,)
 
 
-def believed(grid):
-    """The cells of a grid in the kernel's words."""
-    beliefs = np.where(grid.known, agreement.BELIEF_UNDECIDED, 0)
-    beliefs[grid.occupancy == 0], beliefs[grid.occupancy == 100] = (
-        agreement.BELIEF_FREE,
-        agreement.BELIEF_OCCUPIED,
-    )
-    return beliefs.astype(np.uint8)
-
-
+@pytest.mark.parametrize("unknown", ["stop", "pass"])
 @pytest.mark.parametrize("grain", [1.0, 1 / 32], ids=["from corners of cells", "from anywhere"])
 @pytest.mark.parametrize("max_range", [math.inf, 3.0])
-def test_rays_are_those_of_the_kernel(grain, max_range):
+@pytest.mark.parametrize(
+    "where", [{}, {"resolution": 0.3, "anchor": (0.1, -0.7), "offset": (-17, 1_000_000)}]
+)
+def test_rays_are_those_of_the_kernel_to_the_last_bit(grain, max_range, unknown, where):
     rng = np.random.default_rng(7)
     found = []
     for _ in range(20):
-        grid = random_grid(rng)
-        beliefs = believed(grid)
+        grid = random_grid(rng, **where)
+        lattice, rect = Lattice(grid.resolution, grid.anchor), CellRect(*grid.offset, 60, 40)
+        u, v = rng.integers(0, (60 / grain, 40 / grain)) * grain * grid.resolution
+        x, y = grid.origin[0] + u, grid.origin[1] + v
         # Where a tie may be: along the axes, the diagonals, and 3-4-5 triangles.
         some = [math.atan2(a, b) for a, b in rng.integers(-5, 6, (20, 2))]
-        for theta in [*some, *rng.uniform(-9, 9, 30)]:
-            u, v = rng.integers(0, (60 / grain, 40 / grain)) * grain
-            ray = grid.raycast(9.0 + u / 2, -18.0 + v / 2, theta, max_range)
-            what, distance = agreement.cast_ray(u, v, theta, max_range / 0.5, beliefs)
-            assert ray == Ray(distance * 0.5, WORDS[what]), (u, v, theta)
-            found.append(ray.found)
-    words = ("occupied", "unknown", "nothing") if max_range == 3.0 else ("occupied", "unknown")
-    assert all(found.count(word) > 100 for word in words)
+        thetas = [*some, *rng.uniform(-9, 9, 30)]
+        rays = grid.raycast(x, y, thetas, max_range, unknown=unknown)
+        _, start = start_of(lattice, rect, (x, y))
+        directions, longest = directions_of(thetas), max_range / grid.resolution
+        part = window_of(start, directions, longest, rect)
+        rows, columns = (
+            slice(n - m, n - m + k) for n, m, k in ((part[1], rect[1], part[3]), (part[0], rect[0], part[2]))
+        )
+        states = grid.occupancy[rows, columns]
+        what, distances = cast_rays(start, directions, longest, unknown == "pass", part[:2], states)
+        ranges = np.where(what == FOUND_NOTHING, max_range, distances * grid.resolution)
+        assert [WORDS[code] for code in what] == rays.found.tolist()
+        assert ranges.tolist() == rays.range.tolist()
+        assert np.signbit(ranges).sum() == np.signbit(rays.range).sum() == 0
+        found += rays.found.tolist()
+    words = {"occupied", "unknown", "nothing"}
+    words -= {"nothing"} if (max_range, unknown) == (math.inf, "stop") else set()
+    words -= {"unknown"} if unknown == "pass" else set()
+    assert {word for word in set(found) if found.count(word) > 100} == words
 
 
 @pytest.mark.parametrize(
@@ -147,10 +152,14 @@ def test_rays_are_those_of_every_crossing_with_a_grid_line(where):
         y = grid.origin[1] + rng.uniform(0, 40) * grid.resolution
         theta, longest = rng.uniform(-9, 9), rng.uniform(1, 40)
         u, v = (x - grid.anchor[0]) / grid.resolution, (y - grid.anchor[1]) / grid.resolution
-        what, distance = naive.cast(u, v, theta, longest, belief)
-        ray = grid.raycast(x, y, theta, longest * grid.resolution)
-        assert ray.found == {"wall": "occupied"}.get(what, what)
-        assert ray.range == pytest.approx(distance * grid.resolution, rel=1e-9)
+        for unknown, seen in (
+            ("stop", belief),
+            ("pass", lambda cell: {"wall": "wall"}.get(belief(cell), "free")),
+        ):
+            what, distance = naive.cast(u, v, theta, longest, seen)
+            ray = grid.raycast(x, y, theta, longest * grid.resolution, unknown=unknown)
+            assert ray.found == {"wall": "occupied"}.get(what, what)
+            assert ray.range == pytest.approx(distance * grid.resolution, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -174,6 +183,16 @@ def test_rays_are_those_of_every_crossing_with_a_grid_line(where):
 def test_what_cannot_be_cast_is_named(arguments, message):
     with pytest.raises(BadParameter, match=message):
         ROOM.raycast(*arguments)
+
+
+def test_what_is_unknown_lets_through_who_asks_for_it():
+    x, y = centre(0, 2)
+    assert ROOM.raycast(x, y, 0.0) == Ray(0.25, "unknown")
+    assert ROOM.raycast(x, y, 0.0, unknown="pass") == Ray(math.inf, "nothing")  # it leaves the grid, too
+    assert ROOM.raycast(x, y, 0.0, 7.0, unknown="pass") == Ray(7.0, "nothing")
+    assert ROOM.raycast(*centre(3, 3), -QUARTER, unknown="pass") == Ray(0.75, "occupied")
+    with pytest.raises(BadParameter, match="unknown: 'stop' or 'pass' is needed, got 'go'"):
+        ROOM.raycast(x, y, 0.0, unknown="go")
 
 
 def test_an_empty_map_casts_no_ray():

@@ -56,7 +56,9 @@ def test_table_of_settings():
 
 def test_table_of_routes(ogm):
     documented = {
-        _quoted(route)[0]: set(_quoted(parameters)) for route, parameters, _ in _table(README, "route")
+        _quoted(route)[0]: set(_quoted(parameters))
+        for page in (README, "docs/queries.md")
+        for route, parameters, _ in _table(page, "route")
     }
     mapper = ogm.ready(ogm.mapper())
     paths = json.loads(mapper.get("openapi.json"))["paths"]

@@ -14,6 +14,7 @@ from status_json import NO_POSES
 HIT = math.log(0.7 / 0.3)
 ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
 ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
+QUERIES = {"/raycast": "get"}
 WRITES = {
     "/reset": "post",
     "/erase": "post",
@@ -251,7 +252,7 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
     assert document["openapi"].startswith("3.")
     assert document["info"]["title"] == "zenoh-ogm mapper"
     paths = document["paths"]
-    assert set(paths) == {*ROUTES, "/snapshots", *WRITES}
+    assert set(paths) == {*ROUTES, "/snapshots", *QUERIES, *WRITES}
     assert {path: set(item) for path, item in paths.items() if set(item) != {"get"}} == {
         path: {method} for path, method in WRITES.items()
     }
@@ -267,6 +268,9 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
         "/map.yaml": {"region", "at"},
         "/map.npz": {"region", "at"},
         "/cell": {"x", "y"},
+        "/raycast": {
+            *("x", "y", "theta", "angle_min", "angle_increment", "n", "range_max", "unknown"),
+        },
     }
     for path in ROUTES:
         operation = paths[path]["get"]

@@ -17,6 +17,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.quality import agreement
+from ogm_core.queries import ray_kernel
 from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
 from ogm_core.tiles import view as tiled_cells
 from ogm_core.types import Pose, Scan, Sweep
@@ -24,6 +25,7 @@ from ogm_core.wire.messages import decode_scan, encode_scan
 from ogm_services.mapper.live import warm_up as warm_up_module
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up, warm_up_rest
+from ogm_services.mapper.serving.raycasts import Fan, FanCells
 
 ROOT = Path(__file__).parents[2]
 TIMEOUT = 60.0
@@ -46,6 +48,7 @@ KERNELS = (
     spans.update_blocks,
     spans.update_one_by_one,
     agreement.agreement,
+    ray_kernel.cast_rays,
     tiled_cells._count_written,
     tiled_cells._lay_out,
     tiled_cells._count_values,
@@ -58,6 +61,7 @@ LATER = (
     dda.touch_tiles,
     spans.touch_tiles,
     agreement.agreement,
+    ray_kernel.cast_rays,
     tiled_cells._count_values,
 )
 """Kernels that no scan waits for, unless it is its sensor's first sweep or the map is full."""
@@ -129,6 +133,9 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
         encode_npz(snapshot)
     live_map.info()
     live_map.quality()
+    Fan((0.0, 0.0), [0.0, 1.0], 2.0, through_unknown=True).cast(
+        FanCells.of(Fan((0.0, 0.0), [0.0], 2.0, False), snapshot)
+    )
     with pytest.raises(LimitReached):
         OccupancyGrid(replace(settings, max_bytes=1)).integrate(scan, Pose(0.0, 0.04, 0.0))
     assert compiled() == before

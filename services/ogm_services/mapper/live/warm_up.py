@@ -9,11 +9,13 @@ from typing import cast
 
 import numpy as np
 
+from ogm_core.cells.classes import trinary
 from ogm_core.errors import LimitReached
 from ogm_core.files.map_files import encode_json, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.queries.ray_kernel import cast_rays
 from ogm_core.sensor_models.hits import hits_near_by
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.checkpoint import Checkpoint
@@ -45,6 +47,9 @@ def warm_up_rest(settings: GridSettings) -> None:
     for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
         encode_tile(tile.planes)
     scratch.quality()
+    whole = scratch.snapshot()
+    start, ahead = whole.lattice.in_cells(np.array(pose[:2])).tolist(), np.array([[1.0, 0.0]])
+    cast_rays((start[0], start[1]), ahead, 1.0, False, whole.offset, whole.encode(trinary))
     encode_json(scratch.snapshot(), "", "percent")
     with suppress(LimitReached):  # a map that is full counts tiles by another kernel
         OccupancyGrid(replace(small, max_bytes=1)).integrate(scan, pose)

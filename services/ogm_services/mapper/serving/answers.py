@@ -27,6 +27,7 @@ from ogm_services.mapper.serving.map_formats import (
     region_of,
     shrunk,
 )
+from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
 from ogm_services.replies.in_flight import InFlight
@@ -72,6 +73,8 @@ class Answers:
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._ready = ready
+        self.queries = Queries(live_map, self._large, self._in_flight, self.check_ready)
+        """What is computed from the map for who asks."""
         self._caches: list[Cache] = [self._cache, *self._pictures.values()]
         if memory is not None:
             memory.add("caches", self.cached_bytes, let_go=self._let_go)

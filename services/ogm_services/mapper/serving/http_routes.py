@@ -28,6 +28,7 @@ from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.mapper.serving.query_routes import add_query_routes
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
@@ -126,6 +127,7 @@ def build_app(
     add_get(app, "/quality", _handler(maps, answers.quality), described, "The quality figures")
     status = _handler(shares.status, answers.status)
     add_get(app, "/status", status, responses("application/json", Status), "The mapper's status")
+    add_query_routes(app, answers, shares.maps)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     add_write_routes(app, writes, shares.writes)

@@ -46,6 +46,7 @@ class ZenohRoutes:
         declare(key("quality"), answers.quality, shares.maps)
         declare(key("status"), answers.status, shares.status)
         declare(key("snapshots"), answers.snapshots, shares.maps)
+        declare(key("raycast"), answers.queries.raycast, shares.maps)
         for name, write in writes.items():
             declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
 

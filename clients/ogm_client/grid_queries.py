@@ -1,0 +1,74 @@
+"""Queries of a grid: what its cells mean for who moves among them, computed here, without a mapper."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_client.raycast import WORDS, Ray, Rays, Unknown, goes_through
+from ogm_core.errors import BadParameter
+from ogm_core.lattice import Lattice
+from ogm_core.queries.rays import RayCaster
+
+
+class GridQueries:
+    """What is computed from the cells of a `MapGrid`, whose fields these are."""
+
+    __slots__ = ()
+
+    log_odds: NDArray[np.floating[Any]]
+    resolution: float
+    anchor: tuple[float, float]
+    offset: tuple[int, int]
+
+    @overload
+    def raycast(
+        self, x: float, y: float, theta: float, max_range: float = math.inf, *, unknown: Unknown = "stop"
+    ) -> Ray: ...
+    @overload
+    def raycast(
+        self,
+        x: float,
+        y: float,
+        theta: NDArray[Any] | Sequence[float],
+        max_range: float = math.inf,
+        *,
+        unknown: Unknown = "stop",
+    ) -> Rays: ...
+    def raycast(
+        self,
+        x: float,
+        y: float,
+        theta: float | NDArray[Any] | Sequence[float],
+        max_range: float = math.inf,
+        *,
+        unknown: Unknown = "stop",
+    ) -> Ray | Rays:
+        """What a beam from the point (x, y), m, along `theta` would read in this map.
+
+            wall = grid.raycast(1.0, 2.0, math.pi / 2).range
+            scan = grid.raycast(x, y, theta + bearings, max_range=30.0).range
+
+        `theta` in rad, counter-clockwise from the map's x axis; of an array, a ray each, and the result's
+        arrays have its shape. A ray ends where it enters the first cell that is not free, as `occupancy` has
+        it, at the latest where it leaves this grid, or after `max_range` m. With `unknown="pass"` only
+        occupied cells end it, and beyond this grid there is none. The cell that it starts in is not asked.
+        (Amanatides & Woo 1987.)
+
+        Raises:
+            BadParameter: the point or `theta` is not finite, the point lies outside this grid, or
+                `max_range` is not positive.
+            MapEmpty: there is no cell.
+        """
+        bearings = np.asarray(theta, np.float64)
+        if not np.isfinite(bearings).all():
+            raise BadParameter("theta: finite radians are needed")
+        caster = RayCaster(
+            *(self.log_odds, Lattice(self.resolution, self.anchor), self.offset, (x, y), max_range),
+            through_unknown=goes_through(unknown),
+        )
+        rays = [caster.cast(bearing) for bearing in bearings.ravel().tolist()]
+        told = [Ray(distance, WORDS[found]) for found, distance in rays]
+        return told[0] if bearings.ndim == 0 else Rays.of(told, bearings.shape)

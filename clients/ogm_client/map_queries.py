@@ -1,0 +1,61 @@
+"""Queries of a mapper: what it computes from its map for who asks, without sending the map."""
+
+import numpy as np
+
+from ogm_client.errors import BadReply
+from ogm_client.parameters import texts
+from ogm_client.raycast import WORDS, Rays, Unknown
+from ogm_client.status_reply import read_reply
+from ogm_client.transport import Transport, printable
+from ogm_core.queries.rays import FOUND_NOTHING, FOUND_UNKNOWN, FOUND_WALL
+from ogm_core.queries.replies import RaycastReply
+from ogm_core.wire.messages import MAX_RANGE
+
+_ENDS = {"hit": WORDS[FOUND_WALL], "unknown": WORDS[FOUND_UNKNOWN], "none": WORDS[FOUND_NOTHING]}
+
+
+class MapQueries:
+    """What a `MapClient` asks its mapper to compute, over the connection that it has."""
+
+    _transport: Transport
+
+    def raycast(
+        self,
+        x: float,
+        y: float,
+        theta: float = 0.0,
+        *,
+        angle_min: float = 0.0,
+        angle_increment: float = 0.0,
+        n: int = 1,
+        max_range: float = MAX_RANGE,
+        unknown: Unknown = "stop",
+    ) -> Rays:
+        """What a scan of `n` beams from the pose (x, y, theta), m and rad, would read in the map as it is.
+
+            scan = mapper.raycast(1.0, 2.0, theta, angle_min=-2.356, angle_increment=0.00436, n=1081).range
+
+        The ray k has the bearing theta + (angle_min + k * angle_increment). It ends where it enters the first
+        cell that is not free, at the latest at the map's edge, or after `max_range` m; with `unknown="pass"`
+        only occupied cells end it. It is what `MapGrid.raycast` makes of the same cells.
+
+        Raises:
+            MapperError: a number is out of its range, the point lies outside the map, or the map is empty
+                ("map-empty").
+        """
+        given = {
+            "x": x,
+            "y": y,
+            "theta": theta,
+            "angle_min": angle_min,
+            "angle_increment": angle_increment,
+            "n": n,
+            "range_max": max_range,
+        }
+        parameters = {**texts(given), "unknown": unknown}
+        reply = read_reply(RaycastReply, "raycast", self._transport.fetch("raycast", parameters))
+        if len(reply.ranges) != n or len(reply.ends) != n or not _ENDS.keys() >= set(reply.ends):
+            told = printable(f"{len(reply.ranges)} ranges, ends {sorted(set(reply.ends))}")
+            raise BadReply(f"raycast: a range and an end are needed of each of {n} rays, got {told}")
+        found = np.array([_ENDS[end] for end in reply.ends], np.str_)
+        return Rays(np.array(reply.ranges, np.float64), found)

@@ -1,0 +1,33 @@
+"""Parameters of requests: values of Python as the texts that a mapper reads."""
+
+import numbers
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ogm_core.errors import BadParameter
+
+Value = str | ArrayLike | None
+"""A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
+
+
+def texts(parameters: Mapping[str, Value]) -> dict[str, str]:
+    """The parameters that are given, as text; floats in the shortest form that reads back the same."""
+    return {name: _text(name, value) for name, value in parameters.items() if value is not None}
+
+
+def _text(name: str, value: Any) -> str:  # noqa: ANN401 - a Value, or a mistake
+    if isinstance(value, str):
+        if ";" in value:
+            raise BadParameter(f"{name}: {value!r} contains a ';', which separates parameters")
+        return value
+    parts: Any = [value] if isinstance(value, numbers.Real) else value
+    try:
+        return ",".join(_number(part) for part in parts)
+    except (TypeError, ValueError) as error:
+        raise BadParameter(f"{name}: a text, a number or several are needed, got {value!r}") from error
+
+
+def _number(value: float) -> str:
+    return str(value) if type(value) is int else repr(float(value))

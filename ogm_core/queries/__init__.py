@@ -1,0 +1,1 @@
+"""Questions about finished cells: rays through them, footprints on them, distances between them."""

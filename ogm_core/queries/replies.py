@@ -1,0 +1,17 @@
+"""Replies to queries, as they stand in JSON, name by name and in this order."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class RaycastReply:
+    """Of each ray its range, m, and how it `ends`: a "hit", at an "unknown" cell, or with "none" of them.
+
+    `epoch`, `run` and `revision` say which map it is of.
+    """
+
+    epoch: str
+    run: str
+    revision: int
+    ranges: list[float]
+    ends: list[str]
