@@ -27,6 +27,7 @@ BENCHMARKS = (
     "throughput",
     "latency",
     "pictures",
+    "queries",
     "http_load",
     "hostile_http",
     "build_speed",

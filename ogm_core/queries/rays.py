@@ -74,12 +74,13 @@ class RayCaster:
         """The cells that the ray enters, in order: at which distance, in cells, and [column], [row]."""
         height, width = self._log_odds.shape
         (u, v), (du, dv) = self._start, (math.cos(theta), math.sin(theta))
-        along_u = _crossings(u, self._cell[0], du, self._offset[0], width)
-        along_v = _crossings(v, self._cell[1], dv, self._offset[1], height)
+        longest = self._max_range / self._resolution
+        along_u = _crossings(u, self._cell[0], du, longest, self._offset[0], width)
+        along_v = _crossings(v, self._cell[1], dv, longest, self._offset[1], height)
         distances = np.concatenate((along_u, along_v))
         order = np.argsort(distances, kind="stable")  # through a corner: in u first
         distances = distances[order]
-        order = order[distances <= self._max_range / self._resolution]
+        order = order[distances <= longest]
         in_u = order < along_u.size
         columns = self._cell[0] - self._offset[0] + (1 if du > 0.0 else -1) * np.cumsum(in_u)
         rows = self._cell[1] - self._offset[1] + (1 if dv > 0.0 else -1) * np.cumsum(~in_u)
@@ -128,11 +129,21 @@ def window_of(
     return CellRect(west - 1, south - 1, east - west + 3, north - south + 3).intersection(rect)
 
 
-def _crossings(start: float, cell: int, step: float, first: int, cells: int) -> NDArray[np.float64]:
-    """Distances at which a ray crosses the grid's lines of one axis, up to the one where it leaves."""
+def _crossings(
+    start: float, cell: int, step: float, longest: float, first: int, cells: int
+) -> NDArray[np.float64]:
+    """Distances at which a ray crosses the grid's lines of one axis, up to the one where it leaves.
+
+    Those beyond `longest` need not be there: two to spare are, for what is rounded.
+    """
     if step == 0.0:
         return np.empty(0)
-    ahead = (cell + 1, first + cells + 1, 1) if step > 0.0 else (cell, first - 1, -1)
+    most = int(min(longest * abs(step), float(cells))) + 2
+    ahead = (
+        (cell + 1, min(first + cells, cell + most) + 1, 1)
+        if step > 0.0
+        else (cell, max(first, cell - most) - 1, -1)
+    )
     lines = np.arange(*ahead, dtype=np.float64)
     with np.errstate(over="ignore"):  # along an axis that a ray hardly moves along, the next line is at inf
         return (lines - start) / step
