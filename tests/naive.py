@@ -214,6 +214,41 @@ def near(cell, u0, v0, u1, v1, slack):
     return first <= last
 
 
+def footprint_distance_squared(corners, cell):
+    """Squared distance of a closed polygon, or of a point, from a cell's closed square, in exact arithmetic.
+
+    Corners are in cells. The polygon is even-odd: with no edge in the square, its centre says which side.
+    """
+    corners = [(Fraction(u), Fraction(v)) for u, v in corners]
+    (i, j), edges = cell, list(zip(corners, corners[1:] + corners[:1], strict=True))
+    square = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+    if any(near(cell, *a, *b, Fraction(0)) for a, b in edges):
+        return 0
+    cu, cv = i + Fraction(1, 2), j + Fraction(1, 2)
+    crossings = [
+        u0 + (cv - v0) * (u1 - u0) / (v1 - v0) for (u0, v0), (u1, v1) in edges if (v0 <= cv) != (v1 <= cv)
+    ]
+    if sum(u > cu for u in crossings) % 2:
+        return 0
+    return min(
+        *(point_to_segment(corner, *edge) for edge in edges for corner in square),
+        *(
+            point_to_segment(corner, *side)
+            for corner in corners
+            for side in zip(square, square[1:] + square[:1], strict=True)
+        ),
+    )
+
+
+def point_to_segment(point, a, b):
+    """Squared distance, exact."""
+    (u, v), (au, av), (bu, bv) = point, a, b
+    du, dv = bu - au, bv - av
+    squared = du * du + dv * dv
+    t = 0 if squared == 0 else min(max(Fraction((u - au) * du + (v - av) * dv) / squared, 0), 1)
+    return (au + t * du - u) ** 2 + (av + t * dv - v) ** 2
+
+
 def sector_class(dx, dy, theta, bearings, half, kinds, lengths, alpha):
     """What a scan says about a point at (dx, dy) m from its sensor: 0 nothing, 1 free, 2 occupied.
 

@@ -5,11 +5,16 @@ from collections.abc import Sequence
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ogm_client.footprints import footprints_of
 from ogm_client.raycast import WORDS, Ray, Rays, Unknown, goes_through
+from ogm_core.cells.classes import trinary
+from ogm_core.cells.log_odds import probability_of
 from ogm_core.errors import BadParameter
-from ogm_core.lattice import Lattice
+from ogm_core.lattice import CellRect, Lattice
+from ogm_core.queries.footprints import WORDS as STATES
+from ogm_core.queries.footprints import Footprints
 from ogm_core.queries.rays import RayCaster
 
 
@@ -72,3 +77,34 @@ class GridQueries:
         rays = [caster.cast(bearing) for bearing in bearings.ravel().tolist()]
         told = [Ray(distance, WORDS[found]) for found, distance in rays]
         return told[0] if bearings.ndim == 0 else Rays.of(told, bearings.shape)
+
+    def check(
+        self,
+        points: ArrayLike | None = None,
+        *,
+        footprints: Sequence[ArrayLike] | None = None,
+        margin: float = 0.0,
+    ) -> NDArray[np.str_]:
+        """Whether points (x, y), or the polygons of `footprints`, m, are free in this map.
+
+            grid.check([(1.5, 0.5), (2.0, 0.5)], margin=0.25)
+            grid.check(footprints=[[(1.2, 0.3), (1.8, 0.3), (1.8, 0.7), (1.2, 0.7)]], margin=0.05)
+
+        Of each, in their order: "occupied" if it, grown by `margin` m, meets an occupied cell, as `occupancy`
+        has it, edges included; else "unknown" if it meets one that is unknown or undecided, or beyond this
+        grid; else "free". What is within 1e-6 cells is met.
+
+        Raises:
+            BadParameter: not one of the two is given, or it is something else, there are too many, or they
+                meet too many cells.
+        """
+        asked = Footprints(footprints_of(points, footprints), margin, Lattice(self.resolution, self.anchor))
+        height, width = self.log_odds.shape
+        whole = CellRect(*self.offset, width, height)
+        part = asked.rect.intersection(whole)
+        south, west = part.iy - whole.iy, part.ix - whole.ix
+        log_odds = self.log_odds[south : south + part.height, west : west + part.width]
+        if not part.cells:
+            log_odds = self.log_odds[:0]
+        states = asked.states(trinary(probability_of(log_odds), ~np.isnan(log_odds)), part)
+        return np.array([STATES[state] for state in states.tolist()], np.str_)

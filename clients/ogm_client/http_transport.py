@@ -26,7 +26,7 @@ from ogm_client.transport import (
 )
 from ogm_core.errors import BadParameter, BadSetting
 from ogm_core.wire.addresses import masked
-from ogm_core.wire.keys import Write, check_name
+from ogm_core.wire.keys import Query, Write, check_name
 
 _PROBLEM = "application/problem+json"
 _EXAMPLE = "a URL looks like http://127.0.0.1:8000"
@@ -94,6 +94,10 @@ class HttpTransport:
         reply = _map_reply(response)
         return None if reply.version == seen else reply
 
+    def ask(self, name: Query, body: bytes) -> bytes:
+        """What is answered to a question that is a JSON body."""
+        return self._send("POST", name, {}, {"Content-Type": "application/json"}, body).content
+
     def write(self, name: Write, parameters: Parameters) -> bytes:
         """Change something; the bytes of what is answered."""
         if name == "delete":
@@ -107,12 +111,17 @@ class HttpTransport:
         self._client.close()
 
     def _send(
-        self, method: str, name: str, parameters: Parameters, headers: dict[str, str] | None = None
+        self,
+        method: str,
+        name: str,
+        parameters: Parameters,
+        headers: dict[str, str] | None = None,
+        body: bytes | None = None,
     ) -> _Answer:
         deadline = time.monotonic() + self._limits.timeout
         if self._checked is None:
             self._check_map(deadline)
-        answer = self._request(method, name, parameters, headers, deadline)
+        answer = self._request(method, name, parameters, headers, deadline, body)
         told = answer.headers
         if "OGM-Epoch" in told and (told["OGM-Epoch"], told.get("OGM-Run")) != self._checked:
             self._check_map(deadline)  # by now somebody else may be there
@@ -137,13 +146,18 @@ class HttpTransport:
         parameters: Parameters,
         headers: dict[str, str] | None,
         deadline: float,
+        body: bytes | None = None,
     ) -> _Answer:
         if self._client.is_closed:
             raise ClientError(f"{name}: the client is closed")
         checked, self._checked = self._checked, None
         try:
             with self._client.stream(
-                method, f"/{name}", params=parameters, headers=headers, extensions={DEADLINE: deadline}
+                *(method, f"/{name}"),
+                params=parameters,
+                headers=headers,
+                content=body,
+                extensions={DEADLINE: deadline},
             ) as response:
                 answer = _Answer(response.status_code, response.headers, self._content(name, response))
         except (httpcore.ConnectError, httpcore.ConnectTimeout) as error:

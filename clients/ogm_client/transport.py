@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 from ogm_client.errors import BadReply, MapperError
 from ogm_core import errors
 from ogm_core.units import MEBIBYTE
-from ogm_core.wire.keys import Write
+from ogm_core.wire.keys import Query, Write
 
 NAMES = (
     *("map.png", "map.json", "map.pgm", "map.yaml", "map.npz"),
@@ -67,6 +67,9 @@ class Transport(Protocol):
 
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""
+
+    def ask(self, name: Query, body: bytes) -> bytes:
+        """What is answered to a question that is a JSON body."""
 
     def write(self, name: Write, parameters: Parameters) -> bytes:
         """Change something; the bytes of what is answered."""

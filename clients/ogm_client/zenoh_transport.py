@@ -21,7 +21,7 @@ from ogm_client.transport import (
     too_long,
 )
 from ogm_client.zenoh_errors import reason
-from ogm_core.wire.keys import MapKeys, Service, Write
+from ogm_core.wire.keys import MapKeys, Query, Service, Write
 
 _TIMED_OUT = b"Timeout"
 """Zenoh's own error reply, when a queryable took the query and did not finish in time."""
@@ -77,6 +77,11 @@ class ZenohTransport:
         reply = self._fetch_map({}, deadline)
         return None if reply.version == seen else reply
 
+    def ask(self, name: Query, body: bytes) -> bytes:
+        """What is answered to a question that is a JSON body."""
+        sample = self._get(name, {}, self._deadline(), body)
+        return _content(name, sample.payload, self._limits.bytes_of(name))
+
     def write(self, name: Write, parameters: Parameters) -> bytes:
         """Change something; the bytes of what is answered."""
         sample = self._get(name, parameters, self._deadline())
@@ -103,14 +108,18 @@ class ZenohTransport:
         npz = _content("map.npz", sample.payload, self._limits.max_bytes)
         return map_reply(npz, *(meta.get(name) for name in ("epoch", "run", "revision", "stamp")))
 
-    def _get(self, service: Service, parameters: Parameters, deadline: float) -> zenoh.Sample:
+    def _get(
+        self, service: Service, parameters: Parameters, deadline: float, body: bytes | None = None
+    ) -> zenoh.Sample:
         """The first answer; a mapper answers once."""
         key = self._keys.service(service)
         selector = zenoh.Selector(key, ";".join(f"{name}={value}" for name, value in parameters.items()))
         left = max(deadline - time.monotonic(), _AT_ONCE)
         try:
             # Without consolidation an answer comes at once, whoever else took the question and keeps silent.
-            replies = self._session.get(selector, timeout=left, consolidation=zenoh.ConsolidationMode.NONE)
+            replies = self._session.get(
+                selector, timeout=left, consolidation=zenoh.ConsolidationMode.NONE, payload=body
+            )
         except zenoh.ZError as error:
             raise ClientError(f"{key}: not asked: {reason(error)}") from error
         for reply in replies:

@@ -15,14 +15,13 @@ from ogm_core.cells.classes import OCCUPIED_ABOVE
 from ogm_core.cells.model import P_EDGE, row_bands
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.quality.figures import BAND
+from ogm_core.queries.cell_runs import counted
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 
 SLACK = 1e-9
 """By how much a cell's square is widened on every side, cells: what rounding may move an outline by."""
 _KNOWN, _OCCUPIED = 1, 2
-_PIECE = 2**18
-"""Rows, or cells, of outlines that are worked on in one go: bounds the memory."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -219,7 +218,7 @@ def _loss_if_free(p: Floats) -> Floats:
 def _segment_runs(ends: Floats, rect: CellRect) -> Iterator[Runs]:
     """What segments meet; `ends` are in cells from the corner of `rect`, shape (n, 2, 2)."""
     (u1, v1), (u2, v2) = ends[:, 0].T, ends[:, 1].T
-    for k, row in _counted(*_met(np.minimum(v1, v2), np.maximum(v1, v2), rect.height)):
+    for k, row in counted(*_met(np.minimum(v1, v2), np.maximum(v1, v2), rect.height)):
         climb = v2[k] - v1[k]
         # Where it crosses the lower and the upper edge of the row: shares of its length.
         with np.errstate(over="ignore"):
@@ -233,7 +232,7 @@ def _segment_runs(ends: Floats, rect: CellRect) -> Iterator[Runs]:
 def _circle_runs(centres: Floats, radii: Floats, rect: CellRect) -> Iterator[Runs]:
     """What circles meet: the cells that have a point no farther than the radius, and one no nearer."""
     u, v = centres.T
-    for k, row in _counted(*_met(v - radii, v + radii, rect.height)):
+    for k, row in counted(*_met(v - radii, v + radii, rect.height)):
         lower, upper = row - SLACK - v[k], row + 1 + SLACK - v[k]
         nearest = np.maximum(0.0, np.maximum(lower, -upper))
         outer = _half_chord(radii[k], nearest)
@@ -256,21 +255,9 @@ def _met(low: Floats, high: Floats, count: int) -> tuple[Ints, Ints]:
     return first.astype(np.int64), last.astype(np.int64)
 
 
-def _counted(first: Ints, last: Ints) -> Iterator[tuple[Ints, Ints]]:
-    """Every k with every whole number from first[k] to last[k], as two arrays, in pieces."""
-    ends = np.cumsum(np.maximum(last - first + 1, 0), dtype=np.int64)
-    total = int(ends[-1]) if ends.size else 0
-    for start in range(0, total, _PIECE):
-        stop = min(start + _PIECE, total)
-        begin, end = np.searchsorted(ends, (start, stop - 1), side="right")
-        reached = np.minimum(ends[begin : end + 1], stop)
-        k = np.repeat(np.arange(begin, end + 1), reached - np.append(start, reached[:-1]))
-        yield k, last[k] + 1 - ends[k] + np.arange(start, stop)
-
-
 def _mark(occupied: Bools, runs: Runs, between: Callable[[], None]) -> None:
     rows, first, last = runs
     between()
-    for k, column in _counted(first, last):
+    for k, column in counted(first, last):
         between()
         occupied[rows[k], column] = True

@@ -15,3 +15,16 @@ class RaycastReply:
     revision: int
     ranges: list[float]
     ends: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReply:
+    """Of each point or footprint, in the order in which they were given: "occupied", "unknown" or "free".
+
+    `epoch`, `run` and `revision` say which map it is of.
+    """
+
+    epoch: str
+    run: str
+    revision: int
+    states: list[str]

@@ -18,11 +18,9 @@ MAX_TRUTH_BYTES = 256 * 1024
 
 Write = Literal["reset", "erase", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
-Query = Literal["raycast"]
+Query = Literal["raycast", "check"]
 """What is computed from a map for who asks."""
-Service = Literal[
-    "map", "cell", "quality", "status", "snapshots", "raycast", "reset", "erase", "save", "restore", "delete"
-]
+Service = Literal["map", "cell", "quality", "status", "snapshots", Query, Write]
 
 
 def check_name(value: str, what: str) -> str:

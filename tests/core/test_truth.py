@@ -11,8 +11,8 @@ from ogm_core.cells import model as model_module
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.lattice import CellRect, Lattice
-from ogm_core.quality import truth
 from ogm_core.quality.truth import occupied_cells, truth_figures
+from ogm_core.queries import cell_runs
 from ogm_core.simulation.trajectories import CirclePath
 from ogm_core.simulation.worlds import World, lab
 from ogm_core.snapshot import MapSnapshot
@@ -179,7 +179,7 @@ def random_world(rng, number):
     ],
 )
 def test_cells_are_those_of_exact_geometry(monkeypatch, lattice, rect, piece):
-    monkeypatch.setattr(truth, "_PIECE", piece)
+    monkeypatch.setattr(cell_runs, "_PIECE", piece)
     rng = np.random.default_rng(piece)
     met_at_all = 0
     for number in (2, 3, 5):

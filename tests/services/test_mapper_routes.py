@@ -14,7 +14,7 @@ from status_json import NO_POSES
 HIT = math.log(0.7 / 0.3)
 ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
 ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
-QUERIES = {"/raycast": "get"}
+QUERIES = {"/raycast": "get", "/check": "post"}
 WRITES = {
     "/reset": "post",
     "/erase": "post",
@@ -254,7 +254,7 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
     paths = document["paths"]
     assert set(paths) == {*ROUTES, "/snapshots", *QUERIES, *WRITES}
     assert {path: set(item) for path, item in paths.items() if set(item) != {"get"}} == {
-        path: {method} for path, method in WRITES.items()
+        path: {method} for path, method in {**WRITES, "/check": "post"}.items()
     }
     named = {
         path: {parameter["name"] for parameter in item["get"].get("parameters", [])}

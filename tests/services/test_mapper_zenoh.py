@@ -147,9 +147,9 @@ def test_a_wildcard_is_answered_on_concrete_keys_and_resets_nothing(cross, patte
     assert len(mine) == ("**" in pattern)
     assert set(answers) - mine == {"ogm/v1/hall/map", "ogm/v1/hall/quality", "ogm/v1/hall/status"}
     assert answers["ogm/v1/hall/map"].payload.to_bytes() == cross.http.get("/map.json").content
-    # `cell` and `raycast` lack their coordinates, there are no `snapshots`, and the others are writes.
+    # `cell` and `raycast` lack coordinates, `check` its body; there are no `snapshots`, others are writes.
     refused = [reply for reply in replies if reply.ok is None]
-    assert sorted(told(reply) for reply in refused) == ["bad-parameter"] * (2 + len(WRITES)) + ["not-stored"]
+    assert sorted(told(reply) for reply in refused) == ["bad-parameter"] * (3 + len(WRITES)) + ["not-stored"]
     texts = "".join(reply.err.payload.to_string() for reply in refused)
     assert all(texts.count(f"ask for exactly ogm/v1/hall/{write}") == 1 for write in WRITES)
     assert (cross.status()["epoch"], cross.status()["revision"]) == (before, 3)

@@ -26,9 +26,11 @@ from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
+from ogm_services.mapper.serving.http_connection import HttpLimits
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import OtherMappers
+from ogm_services.mapper.serving.query_routes import BODIES
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder
@@ -282,7 +284,8 @@ class MapperService:
             shares=self._http_shares,
             in_flight=self.parts.in_flight,
         )
-        self._http_thread = HttpThread(app, listener, closed=self.parts.metrics.measurements.http_closed)
+        closed = self.parts.metrics.measurements.http_closed
+        self._http_thread = HttpThread(app, listener, HttpLimits(bodies=BODIES), closed)
         return self._http_thread
 
 

@@ -18,7 +18,7 @@ from ogm_services.replies.turns import Turns
 MAX_PARAMETERS = 4096
 """The longest parameters of a query, characters."""
 MAX_BESIDES = 1024
-"""The longest payload or attachment of a query, bytes: none is read."""
+"""The longest payload or attachment of a query, bytes, of which none is read."""
 MAX_LARGE = 4
 """So many answers above SMALL are sent at once: a link that stands still holds up whoever sends on it."""
 LARGE_PATIENCE = 1.0
@@ -55,9 +55,25 @@ class Queryables:
                 raise BadParameter(f"{cut(str(query.key_expr))}: {name} is a write, ask for exactly {key}")
             self._reply(query, key, answer(_parameters(text)))
 
+        self._declare(key, reply, turns, MAX_BESIDES)
+
+    def declare_with_body(
+        self, key: str, answer: Callable[[Parameters, bytes], Answer], turns: Turns, most: int
+    ) -> None:
+        """The same for queries whose payload, of at most so many bytes, says what is asked."""
+
+        def reply(query: zenoh.Query, text: str) -> None:
+            body = b"" if query.payload is None else query.payload.to_bytes()
+            self._reply(query, key, answer(_parameters(text), body))
+
+        self._declare(key, reply, turns, most)
+
+    def _declare(
+        self, key: str, reply: Callable[[zenoh.Query, str], None], turns: Turns, longest_payload: int
+    ) -> None:
         def callback(query: zenoh.Query) -> None:
             try:
-                text = _checked(query)
+                text = _checked(query, longest_payload)
             except BadParameter as error:
                 self._errors.tell(query, error, large=True)
             else:
@@ -100,7 +116,7 @@ class Queryables:
             self._large.release()
 
 
-def _checked(query: zenoh.Query) -> str:
+def _checked(query: zenoh.Query, longest_payload: int) -> str:
     """The parameters of a query, as text.
 
     Raises:
@@ -109,9 +125,10 @@ def _checked(query: zenoh.Query) -> str:
     text = str(query.parameters)
     if len(text) > MAX_PARAMETERS:
         raise BadParameter(f"parameters: at most {MAX_PARAMETERS} characters are read, got {len(text)}")
-    for name, part in (("payload", query.payload), ("attachment", query.attachment)):
-        if part is not None and len(part) > MAX_BESIDES:
-            raise BadParameter(f"{name}: at most {MAX_BESIDES} bytes may come with a query, got {len(part)}")
+    sizes = ("payload", query.payload, longest_payload), ("attachment", query.attachment, MAX_BESIDES)
+    for name, part, most in sizes:
+        if part is not None and len(part) > most:
+            raise BadParameter(f"{name}: at most {most} bytes may come with this query, got {len(part)}")
     return text
 
 

@@ -1,6 +1,7 @@
 """Bearer token of writes over HTTP (RFC 6750): who may change something says so with every request."""
 
 import hmac
+from collections.abc import Container
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -16,16 +17,18 @@ class BearerToken:
     """ASGI middleware: refuses every request that may change something and does not carry the token.
 
     Without a token it lets everything through. Which methods are writes is their definition's matter, not
-    the routes': a new route is guarded by itself.
+    the routes': a new route is guarded by itself, unless it is named as one that only reads.
     """
 
-    def __init__(self, app: ASGIApp, token: bytes | None) -> None:
+    def __init__(self, app: ASGIApp, token: bytes | None, reads: Container[str] = ()) -> None:
+        """`reads`: paths that change nothing, whatever the method."""
         self._app = app
         self._token = token
+        self._reads = reads
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 401, or leave it to the application behind."""
-        if self._token is None or scope["type"] != "http" or scope["method"] in SAFE_METHODS:
+        if self._token is None or scope["type"] != "http" or self._only_reads(scope):
             await self._app(scope, receive, send)
             return
         given = [value for name, value in scope["headers"] if name == b"authorization"]
@@ -40,6 +43,9 @@ class BearerToken:
         )
         challenge = {"WWW-Authenticate": 'Bearer error="invalid_token"' if given else "Bearer"}
         await refusal(error, challenge)(scope, receive, send)
+
+    def _only_reads(self, scope: Scope) -> bool:
+        return scope["method"] in SAFE_METHODS or (scope["method"] == "POST" and scope["path"] in self._reads)
 
 
 def _token_of(header: bytes) -> bytes:

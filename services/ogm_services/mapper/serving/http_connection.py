@@ -5,8 +5,8 @@ uvicorn's connection over httptools, whose grammar is strict, with what that lac
 
 import asyncio
 import http
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import httptools
@@ -36,7 +36,8 @@ CLOSED_FOR = (*map(slug_of, (400, 408, 413, 414, 431)), _FULL, _STALLED)
 class HttpLimits:
     """What one client may cost.
 
-    `head`: bytes of a request's target and headers; `body`: bytes of its body. `request_time`: s from the
+    `head`: bytes of a request's target and headers; `body`: bytes of its body, unless the path, without a
+    query, is one of `bodies`, which have their own. `request_time`: s from the
     begin of a connection, or its last answer, to the last byte of its next request. `stall_time`: s without
     progress in sending an answer. `connections`: how many are open at once.
     """
@@ -46,6 +47,11 @@ class HttpLimits:
     request_time: float = 60.0
     stall_time: float = 20.0
     connections: int = 1000
+    bodies: Mapping[bytes, int] = field(default_factory=dict)
+
+    def body_of(self, target: bytes) -> int:
+        """Bytes that the body of a request may have."""
+        return self.bodies.get(target.partition(b"?")[0], self.body)
 
 
 class WaitingConnections:
@@ -128,6 +134,7 @@ class HttpConnection(HttpToolsProtocol):
         self._head = 0
         self._head_is_whole = False
         self._body = b""
+        self._most = waiting.limits.body  # bytes of the body of this request
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Make room for it if there is none."""
@@ -184,6 +191,7 @@ class HttpConnection(HttpToolsProtocol):
         """Begin a request."""
         super().on_message_begin()
         self._begun, self._head, self._head_is_whole, self._body = True, 0, False, b""
+        self._most = self._limits.body
 
     def on_url(self, url: bytes) -> None:
         """Take a part of the target."""
@@ -200,7 +208,8 @@ class HttpConnection(HttpToolsProtocol):
         """Look at the headers, and whether they announce too much."""
         self._head_is_whole = True
         length = self._checked_length()
-        if length > self._limits.body:
+        self._most = self._limits.body_of(self.url)
+        if length > self._most:
             raise self._body_too_large()
         if self.expect_100_continue and not self._answering:
             self.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
@@ -209,7 +218,7 @@ class HttpConnection(HttpToolsProtocol):
     def on_body(self, body: bytes) -> None:
         """Take a part of the body."""
         self._body += body
-        if len(self._body) > self._limits.body:
+        if len(self._body) > self._most:
             raise self._body_too_large()
 
     def on_message_complete(self) -> None:
@@ -241,7 +250,7 @@ class HttpConnection(HttpToolsProtocol):
 
     def _check_received(self) -> None:
         """Whether parts of which the parser tells only when they have ended, if ever, are too long."""
-        if self._received > self._limits.head + FRAMING * self._limits.body:
+        if self._received > self._limits.head + FRAMING * self._most:
             raise self._body_too_large() if self._head_is_whole else self._head_too_large(431)
 
     def _checked_length(self) -> int:
@@ -271,7 +280,7 @@ class HttpConnection(HttpToolsProtocol):
         return _Refused(status, f"target and headers are longer than {self._limits.head} bytes")
 
     def _body_too_large(self) -> _Refused:
-        return _Refused(413, f"the body is longer than {self._limits.body} bytes")
+        return _Refused(413, f"the body is longer than {self._most} bytes")
 
     def _hang_up_after_answer(self) -> None:
         self._refused = True

@@ -28,7 +28,7 @@ from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
-from ogm_services.mapper.serving.query_routes import add_query_routes
+from ogm_services.mapper.serving.query_routes import READS, add_query_routes
 from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
@@ -106,7 +106,7 @@ def build_app(
     )
     ready = ReadyMaps(answers)
     answers.count_cache(ready)
-    app.add_middleware(BearerToken, token=token)
+    app.add_middleware(BearerToken, token=token, reads=READS)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)

@@ -5,11 +5,13 @@ from typing import Any
 
 import orjson
 
+from ogm_core.lattice import CellRect
 from ogm_core.snapshot import MapSnapshot
 from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
-from ogm_services.replies.answer import Answer, Parameters
+from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.in_flight import InFlight
 
 
@@ -44,6 +46,22 @@ class Queries:
         with self._large.making(cells), self._in_flight.making(_bytes_of_states(part.snapshot)):
             ranges, ends = fan.cast(part)
         return _json(whole, {"ranges": ranges, "ends": ends})
+
+    def check(self, given: Parameters, body: bytes) -> Answer:
+        """Whether points or footprints meet an occupied cell, or else one that is not known to be free.
+
+        Raises:
+            BadParameter: there are parameters, or the body is ill-formed or asks too much.
+            Busy: it looks at much of a large map, and there is no memory or no thread left for it.
+        """
+        refuse_parameters(given, "check")
+        self._check_ready()
+        whole = self._map.snapshot()
+        asked = read_check(body, whole.lattice)
+        window = asked.rect.intersection(whole.rect)
+        part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
+        with self._large.making(window.cells), self._in_flight.making(_bytes_of_states(part)):
+            return _json(whole, {"states": words_of(asked, part)})
 
 
 def _bytes_of_states(snapshot: MapSnapshot) -> int:

@@ -9,6 +9,7 @@ import zenoh
 
 from ogm_core.wire.keys import MapKeys, Write
 from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.checks import MAX_BODY
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
@@ -47,6 +48,7 @@ class ZenohRoutes:
         declare(key("status"), answers.status, shares.status)
         declare(key("snapshots"), answers.snapshots, shares.maps)
         declare(key("raycast"), answers.queries.raycast, shares.maps)
+        self._queryables.declare_with_body(key("check"), answers.queries.check, shares.maps, MAX_BODY)
         for name, write in writes.items():
             declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
 
