@@ -15,7 +15,15 @@ from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
-from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles, copy_tiles, room_for, uncopied_tiles
+from ogm_core.tiles.copies import (
+    CopyAhead,
+    TileCopies,
+    Tiles,
+    aged_tiles,
+    copy_tiles,
+    room_for,
+    uncopied_tiles,
+)
 from ogm_core.tiles.erasing import erase, written_rect
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
@@ -201,6 +209,20 @@ class OccupancyGrid:
         `take_ahead` takes what it has made; the next copy then copies no more than was written meanwhile.
         """
         return CopyAhead(self._store, self.revision, self._copies, self._aging)
+
+    def aged_bytes(self) -> int:
+        """How much of what the next snapshot has to copy has missed ticks, written or not."""
+        aging = self._aging
+        return 0 if aging is None else aged_tiles(self._store, self._copies, aging) * self._store.tile_bytes
+
+    def aged_copy_ahead(self, *, afresh: bool) -> CopyAhead:
+        """As `copy_ahead`, for a snapshot after a tick: what has missed it is copied too.
+
+        With `afresh` the copy of before is let go first: the two together may be too much.
+        """
+        if afresh:
+            self._copies = None
+        return CopyAhead(self._store, self.revision, self._copies, self._aging, keeping_old=False)
 
     def take_ahead(self, ahead: CopyAhead, made: TileCopies) -> None:
         """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""

@@ -1,4 +1,6 @@
-"""`python store_till_killed.py DIR`: goes on with the map that is stored there, a commit after every scan.
+"""`python store_till_killed.py DIR [HALF_LIFE]`: goes on with the map that is stored there.
+
+There is a commit after every scan.
 
 Prints the fingerprint and the revision of each state before ("trying") and after ("stored") its commit.
 """
@@ -10,7 +12,7 @@ from ogm_services.mapper.storage.map_store import MapStore
 from stored_maps import Story, grid_of
 
 with MapStore(Path(sys.argv[1])) as store:
-    grid = grid_of()
+    grid = grid_of(half_life=float(sys.argv[2]) if len(sys.argv) > 2 else None)
     before = store.restore(grid.settings)
     story = Story(store, grid) if before is None else Story.going_on(store, before)
     while True:

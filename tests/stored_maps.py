@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -26,6 +27,7 @@ def fingerprint(grid, placing=None, *, epoch=True):
     """Of all that is told of a map, its writer's run aside, and of its cells; and of a placing state."""
     snapshot = grid.snapshot()
     told = {**snapshot.meta(), "run": "", "updates": grid.cell_updates, "bytes": grid.nbytes}
+    told["time"] = grid.time
     if not epoch:
         del told["epoch"]
     digest = hashlib.sha256(json.dumps(told).encode())
@@ -56,13 +58,16 @@ class Story:
         return story
 
     def integrate(self, count=1):
-        """Scans of one robot after another, round and round; its placing state changes with each."""
+        """Scans of one robot after another, round and round; its placing state changes with each.
+
+        In a map that forgets there is a second from one to the next.
+        """
         for _ in range(count):
             scan = next(self._scans, None)
             if scan is None:
                 self._scans = iter(scans())
                 scan = next(self._scans)
-            self.grid.integrate(*scan)
+            self.grid.integrate(*in_time(scan, self.grid))
             robot = f"robot{self.grid.revision % len(self.placing)}"
             self.placing[robot] = self._changed[robot] = b"%d " % self.grid.revision * 200
 
@@ -76,6 +81,14 @@ class Story:
     def now(self):
         """The fingerprint of this moment's state."""
         return fingerprint(self.grid, self.placing)
+
+
+def in_time(placed, grid):
+    """A scan and its pose, a second after the one before if the map forgets."""
+    scan, pose = placed
+    if grid.settings.half_life is not None:
+        scan = replace(scan, stamp=grid.revision * 10**9)
+    return scan, pose
 
 
 def saved(store, name, settings):

@@ -164,8 +164,19 @@ def copy_tiles(
 
 def uncopied_tiles(store: TileStore, before: TileCopies | None) -> int:
     """How many tiles were written since the copy `before`."""
-    copied = 0 if before is None else placed(before.copied, before.rect, store.rect)
-    return int(np.count_nonzero(store.touched > copied))
+    return int(np.count_nonzero(store.touched > _copied(store, before)))
+
+
+def aged_tiles(store: TileStore, before: TileCopies | None, aging: Aging) -> int:
+    """How many tiles have missed a tick since the copy `before`, or are not in it."""
+    return int(np.count_nonzero((store.touched > 0) & (_copied(store, before) < aging.last)))
+
+
+def _copied(store: TileStore, before: TileCopies | None) -> NDArray[np.int64]:
+    """When each tile of a store was copied, 0 where it was not."""
+    if before is None:
+        return np.zeros_like(store.touched)
+    return placed(before.copied, before.rect, store.rect)
 
 
 class CopyAhead(NamedTuple):
@@ -179,10 +190,13 @@ class CopyAhead(NamedTuple):
     revision: int
     before: TileCopies | None
     aging: Aging | None
+    keeping_old: bool = True
 
     def made(self) -> TileCopies:
         """The copy: any thread, while another writes."""
-        return copy_tiles(self.store, self.revision, self.before, None, self.aging, keeping_old=True)
+        return copy_tiles(
+            *(self.store, self.revision, self.before, None, self.aging), keeping_old=self.keeping_old
+        )
 
 
 def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:

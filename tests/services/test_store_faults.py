@@ -215,17 +215,20 @@ def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventu
         assert [snapshot.name for snapshot in store.snapshots.list()] == ["now"]
 
 
-def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path):
-    """Six kills at moments of their own, each in the middle of commits; the next process goes on."""
+@pytest.mark.parametrize("half_life", [None, 6.0])
+def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, half_life):
+    """Three kills at moments of their own, each in the middle of commits; the next process goes on."""
     code = (TESTS / "store_till_killed.py").as_posix()
     revision, states = 0, {}
-    for k in range(6):
+    for k in range(3):
         with subprocess.Popen(
-            [sys.executable, code, tmp_path / "map"], stdout=subprocess.PIPE, text=True
+            [sys.executable, code, tmp_path / "map", *(() if half_life is None else [str(half_life)])],
+            stdout=subprocess.PIPE,
+            text=True,
         ) as process:
             lines = [process.stdout.readline()]
             end = time.monotonic() + 0.05 + 0.03 * k
-            while time.monotonic() < end:
+            while time.monotonic() < end or len(lines) < 10:
                 lines.append(process.stdout.readline())
             process.kill()
             lines += process.stdout.read().splitlines()
@@ -235,13 +238,14 @@ def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path):
             if len(said) == 3:
                 states[said[1]] = int(said[2])
                 committed = max(committed, int(said[2]) if said[0] == "stored" else 0)
-        grid = grid_of()
+        grid = grid_of(half_life=half_life)
         with MapStore(tmp_path / "map") as store:
             found = store.restore(grid.settings)
         revision = found.state.map.revision
         assert states[fingerprint(found.grid, found.placing)] == revision
         assert revision >= committed
     assert revision > 10
+    assert bool(found.grid.time.ticks) == (half_life is not None)
 
 
 @pytest.mark.parametrize("replaced", [False, True], ids=["moved", "replaced"])

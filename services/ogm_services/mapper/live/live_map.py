@@ -32,6 +32,8 @@ RECENT_BYTES = 64 * MEBIBYTE
 LOOK_PERIOD = 0.05
 """How old a figure of the memory that is left may be, s, while much is."""
 _GOOD_PART = 8
+_MUCH = 4 * MEBIBYTE
+"""More than this the writer does not wait for after a tick, bytes: some milliseconds."""
 FIGURES_PERIOD = 1.0
 """Figures of the whole map are computed at most this often, s."""
 PATIENT_PERIOD = 3.0
@@ -314,9 +316,24 @@ class LiveMap:
         known = self._snapshot
         if known is not None and Identity.of(known) == self.now:
             return None
+        self._copy_aged()
         with self._writing:
             make_room = self._grid.room_for_snapshot()
         return make_room()
+
+    def _copy_aged(self) -> None:
+        """Copy what has missed a tick (see tiles.aging), if that is much, while the writer goes on."""
+        with self._writing:
+            aged = self._grid.aged_bytes()
+            if aged <= _MUCH:
+                return
+            afresh = self._memory is not None and self._memory.left() < aged
+            ahead = self._grid.aged_copy_ahead(afresh=afresh)
+        if afresh:
+            self._snapshot = self._view = None
+        made = ahead.made()
+        with self._writing:
+            self._grid.take_ahead(ahead, made)
 
     def _current_snapshot(self, room: Tiles | None) -> MapSnapshot:
         """The newest snapshot, taken if need be; both locks are held."""
