@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from ogm_core.logs.recordings import RecordedScan, RecordingReader
+from room import S, scan
 
 FILES = {"map.png", "map.pgm", "map.yaml", "map.npz", "quality.json"}
 FIGURES = {
@@ -139,6 +140,17 @@ def test_bad_input_is_one_line_and_nothing_is_written(ogm, lab_recording):
     assert "--out file/built: cannot be written" in unwritable.complaint(2)
     assert ogm.call("build", "cut.jsonl.gz", "--out", "file/built").complaint(2) == unwritable.complaint(2)
     assert not (ogm.folder / "built").exists()
+
+
+def test_a_build_forgets_what_its_log_shows_only_at_first(built):
+    """By its stamps, a second a scan at most: 30 scans of a room, and then 16 s of another one."""
+    log = [scan(k * S // 20, [2.0] * 360, k, pose=[0, 0, 0]) for k in range(30)]
+    log += [scan(k * 100 * S, [1.0] * 360, 30 + k, pose=[30, 0, 0]) for k in range(1, 17)]
+    for flags, left in ((), 8.0), (("--half-life", "4"), 8.0 * 2**-4):
+        npz, _ = built(log, *flags)
+        east = int((20.0 - npz["origin"][0]) / npz["resolution"])
+        assert np.nanmax(npz["log_odds"][:, :east]) == pytest.approx(left, abs=0.01)
+        assert np.nanmax(npz["log_odds"][:, east:]) == pytest.approx(8.0, abs=0.01)
 
 
 def test_a_log_that_gives_no_map_is_a_failure(ogm, lab_recording):

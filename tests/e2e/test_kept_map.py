@@ -45,17 +45,18 @@ def stored(mapper, revision):
     return f'ogm_stored_revision{{map="default"}} {revision}.0' in metrics
 
 
+@pytest.mark.parametrize("flags", [(), ("--half-life", "1")], ids=["", "forgetting"])
 def test_after_a_kill_the_map_goes_on_where_it_was_stored_and_after_a_stop_where_it_ended(
-    ogm, eventually, data
+    ogm, eventually, data, flags
 ):
-    mapper = started(ogm, data)
+    mapper = started(ogm, data, *flags)
     drive(mapper, eventually, 0, 20)
     eventually(lambda: stored(mapper, 20))
     before, run = served(mapper), mapper.status()["run"]
     mapper.command.process.send_signal(signal.SIGKILL)
     mapper.command.process.wait()
 
-    again = started(ogm, data)
+    again = started(ogm, data, *flags)
     assert again.status()["run"] != run
     assert served(again) == before
     assert httpx.get(f"{again.url}readyz").status_code == 200
@@ -63,7 +64,7 @@ def test_after_a_kill_the_map_goes_on_where_it_was_stored_and_after_a_stop_where
     last = served(again)
     assert (last[0]["revision"], last[0]["epoch"]) == ("25", before[0]["epoch"])
     assert again.command.stop().code == 0
-    assert served(started(ogm, data)) == last
+    assert served(started(ogm, data, *flags)) == last
 
 
 def test_what_a_stopped_mapper_knew_of_a_robot_the_next_one_knows(ogm, eventually, data):

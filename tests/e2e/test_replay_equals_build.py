@@ -37,6 +37,11 @@ def lab_preset_log(lab_recording):
 
 
 @pytest.fixture
+def lab_forgetting_log(lab_recording):
+    return Log(lab_recording, 220, map_flags=("--half-life", "2"))
+
+
+@pytest.fixture
 def rough_log(tmp_path):
     path = tmp_path / "rough.jsonl"
     return Log(path, *write_rough_log(path))
@@ -59,7 +64,9 @@ def replayed(command, log, mapper, *flags):
     return command("replay", log.path, "--connect", mapper.endpoint, *log.log_flags, *flags)
 
 
-@pytest.mark.parametrize("name", ["lab_log", "lab_preset_log", "rough_log", "intel_log"])
+@pytest.mark.parametrize(
+    "name", ["lab_log", "lab_preset_log", "lab_forgetting_log", "rough_log", "intel_log"]
+)
 def test_replayed_and_built_maps_are_equal(ogm, assert_equal_maps, request, name):
     log = request.getfixturevalue(name)
     starting = [ogm.mapper(*log.map_flags) for _ in range(2)]
