@@ -53,6 +53,10 @@ class CellRect(NamedTuple):
             return CellRect(ix, iy, 0, 0)
         return CellRect(ix, iy, right - ix, top - iy)
 
+    def widened(self, by: int) -> "CellRect":
+        """It, and so many cells more on every side."""
+        return CellRect(self.ix - by, self.iy - by, self.width + 2 * by, self.height + 2 * by)
+
     def contains(self, other: "CellRect") -> bool:
         """Whether every cell of `other` lies in this rectangle."""
         return (

@@ -273,6 +273,37 @@ def sector_class(dx, dy, theta, bearings, half, kinds, lengths, alpha):
     return 1 if rho <= free else 0
 
 
+def value_byte(p, known):
+    """The byte of one cell: its probability, kept within its class."""
+    if not known:
+        return 0
+    byte = 1 + math.floor(254 * p + 0.5)
+    if p < 0.196:
+        return min(byte, 50)
+    if p > 0.65:
+        return max(byte, 167)
+    return min(max(byte, 51), 166)
+
+
+def joined(*value_bytes):
+    """What stands for a block of cells: the highest if that is occupied, else the lowest that is known."""
+    if max(value_bytes) >= 167:
+        return max(value_bytes)
+    return min((byte for byte in value_bytes if byte), default=0)
+
+
+def halved(pixels):
+    """Every four pixels as one, from an array of value bytes with even sides."""
+    height, width = pixels.shape
+    return np.array(
+        [
+            [joined(*pixels[y : y + 2, x : x + 2].ravel().tolist()) for x in range(0, width, 2)]
+            for y in range(0, height, 2)
+        ],
+        np.uint8,
+    )
+
+
 def stored(store, rect):
     """The stored cells of a rectangle inside a TileStore, by each one's address; shape (height, width)."""
     i = rect.ix - store.rect.ix + np.arange(rect.width)

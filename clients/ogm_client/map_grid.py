@@ -146,10 +146,11 @@ class MapGrid(GridQueries):
         return replace(self, log_odds=part.cells.copy(), offset=part.offset)
 
     def to_png(self, palette: str = "ros", max_size: int | None = None) -> bytes:
-        """An 8-bit grey PNG, north up, a pixel per cell.
+        """A PNG, north up, a pixel per cell.
 
-        `palette` "ros": 0 occupied, 254 free, 205 undecided or unknown; "probability": brighter is more
-        likely occupied, 127 unknown. With `max_size` no side is longer, in pixels: cells are joined in
+        `palette`, in 8-bit greys: "ros": 0 occupied, 254 free, 205 undecided or unknown; "probability":
+        brighter is more likely occupied, 127 unknown; in colours: "cividis", "dark", "costmap" (as RViz
+        draws it). With `max_size` no side is longer, in pixels: cells are joined in
         square blocks, where occupied wins, then free.
 
         Raises:

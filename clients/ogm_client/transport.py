@@ -10,7 +10,7 @@ from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Query, Write
 
 NAMES = (
-    *("map.png", "map.json", "map.pgm", "map.yaml", "map.npz"),
+    *("map.png", "map.pgw", "map.json", "map.pgm", "map.yaml", "map.npz"),
     *("cell", "quality", "status", "snapshots", "raycast"),
 )
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
+from ogm_core.cells.value_bytes import COLOURS, value_byte
 from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty, cut
 from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
@@ -25,21 +26,46 @@ from ogm_core.snapshot import MapSnapshot
 FRAME = "map"
 DEFAULT_PALETTE = "ros"
 PALETTES: dict[str, Encoder] = {DEFAULT_PALETTE: ros_grey, "probability": probability_grey}
+"""Of grey pictures; those of `cells.value_bytes` have colours, or let through what is unknown."""
 
 _ENTRIES = np.frombuffer(b"".join(b"%3d," % value for value in range(-1, 101)), np.uint32)
 """-1, 0 ... 100 as items of a JSON array, four bytes each (JSON allows the blanks): a map is one look-up."""
 MAX_NPZ_BYTES = 1024**3
 """A map whose cells take more is not read, unless more is allowed; 100 million float64 take less."""
 
+_T = TypeVar("_T")
 
-def encode_png(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
-    """8-bit grey PNG, north up.
+
+def encode_png(snap: MapSnapshot, palette: str = DEFAULT_PALETTE, *, transparent: bool = False) -> bytes:
+    """PNG, north up: 8-bit greys in the palettes "ros" and "probability", else value bytes with colours.
+
+    `transparent`: value bytes in any palette, and what is unknown is not drawn.
 
     Raises:
         MapEmpty: there is nothing to draw.
         BadParameter: no such palette.
     """
-    return write_png(_picture(snap, palette))
+    colours = chosen(COLOURS, "palette", palette)
+    check_not_empty(snap)
+    if palette in PALETTES and not transparent:
+        return write_png(snap.encode(PALETTES[palette])[::-1])
+    return write_png(snap.encode(value_byte)[::-1], colours, transparent=transparent)
+
+
+def encode_pgw(snap: MapSnapshot) -> bytes:
+    """World file of the PNG of the same snapshot: six lines that tell a GIS where its pixels lie, m.
+
+    Pixels from west to east, two turns, pixels from south to north, which go down; then the centre of the
+    pixel in the upper left corner.
+
+    Raises:
+        MapEmpty: there is no picture to place.
+    """
+    check_not_empty(snap)
+    x, y = snap.origin
+    pixel = snap.resolution
+    lines = (pixel, 0.0, 0.0, -pixel, x + pixel / 2, y + (snap.height - 0.5) * pixel)
+    return "".join(f"{line!r}\n" for line in lines).encode()
 
 
 def encode_pgm(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
@@ -49,7 +75,9 @@ def encode_pgm(snap: MapSnapshot, palette: str = DEFAULT_PALETTE) -> bytes:
         MapEmpty: there is nothing to draw.
         BadParameter: no such palette.
     """
-    return write_pgm(_picture(snap, palette))
+    encoder = chosen(PALETTES, "palette", palette)
+    check_not_empty(snap)
+    return write_pgm(snap.encode(encoder)[::-1])
 
 
 def encode_yaml(snap: MapSnapshot, image_name: str, pgm: bytes | None = None) -> bytes:
@@ -73,7 +101,7 @@ def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> by
     Raises:
         BadParameter: no such values.
     """
-    entries = snap.encode(_chosen(VALUES, "values", values))
+    entries = snap.encode(chosen(VALUES, "values", values))
     head = json.dumps({"map": map_name, "frame": FRAME, **snap.meta()})
     data = entries.reshape(-1).view(np.uint8).data
     return b"".join((head[:-1].encode(), b', "data": [', data[:-1], b"]}"))  # without the last comma
@@ -175,22 +203,25 @@ def _values(arrays: NpzArrays, name: str, shape: tuple[int, ...], dtype: type) -
     return packed.read()
 
 
-def _picture(snap: MapSnapshot, palette: str) -> NDArray[np.uint8]:
-    """Greys, row 0 at the top, north."""
-    encoder = _chosen(PALETTES, "palette", palette)
-    _check_not_empty(snap)
-    return snap.encode(encoder)[::-1]
+def check_not_empty(snap: MapSnapshot) -> None:
+    """Refuse to draw nothing.
 
-
-def _check_not_empty(snap: MapSnapshot) -> None:
+    Raises:
+        MapEmpty: the map has no cell.
+    """
     if snap.empty:
         raise MapEmpty("the map has no known cell yet: try again after the first scan")
 
 
-def _chosen(encoders: Mapping[str, Encoder], what: str, name: str) -> Encoder:
-    if name not in encoders:
-        raise BadParameter(f"{what}: one of {', '.join(encoders)} is needed, got {cut(name)!r}")
-    return encoders[name]
+def chosen(choices: Mapping[str, _T], what: str, name: str) -> _T:
+    """What `name` stands for among the choices for a parameter.
+
+    Raises:
+        BadParameter: it is none of them.
+    """
+    if name not in choices:
+        raise BadParameter(f"{what}: one of {', '.join(choices)} is needed, got {cut(name)!r}")
+    return choices[name]
 
 
 def _json_percent(p: Probability, known: Known) -> NDArray[np.uint32]:

@@ -12,6 +12,7 @@ import numpy as np
 from isal import isal_zlib
 
 from ogm_core.cells.model import Encoder
+from ogm_core.cells.value_bytes import Colours
 from ogm_core.lattice import CellRect
 from ogm_core.pictures.png import LEVEL, png_of, unfiltered, write_png
 from ogm_core.snapshot import MapSnapshot
@@ -34,13 +35,13 @@ class Strip(NamedTuple):
 
 
 class MapPicture:
-    """The picture of a map in one palette, of one revision after the other.
+    """The picture of a map by one encoder, of one revision after the other.
 
     Who owns what: all of it belongs to the caller of `png`, one at a time; `let_go` only replaces the strips.
     """
 
     def __init__(self, encoder: Encoder) -> None:
-        """Begin a picture whose greys `encoder` makes, uint8."""
+        """Begin a picture whose pixels `encoder` makes, uint8: greys, or bytes for palettes of colours."""
         self._encoder = encoder
         self._lock = threading.Lock()
         self._lineage: object = None
@@ -53,11 +54,17 @@ class MapPicture:
         """Keep no strips; any thread. Those of a picture that is being made are kept again."""
         self._strips, self.nbytes = {}, 0
 
-    def png(self, snapshot: MapSnapshot) -> bytes:
-        """PNG of a snapshot with at least one cell, north up; of any revision, the newest are quick."""
+    def png(
+        self, snapshot: MapSnapshot, colours: Colours | None = None, *, transparent: bool = False
+    ) -> bytes:
+        """PNG of a snapshot with at least one cell, north up; of any revision, the newest are quick.
+
+        Greys, or bytes that `colours` draw; `transparent`: the byte 0 is not drawn.
+        """
         view = snapshot.stored
         if not isinstance(view, TileView):
-            return write_png(snapshot.encode(self._encoder)[::-1])
+            pixels = snapshot.encode(self._encoder)[::-1]
+            return write_png(pixels, colours, transparent=transparent)
         with self._lock:
             if view.tiles.lineage is not self._lineage:  # of another store: equal numbers are other cells
                 self._lineage, self._strips = view.tiles.lineage, {}
@@ -67,7 +74,7 @@ class MapPicture:
             self.nbytes = sum(len(strip.piece) for strip in strips)
         check = combined([(strip.check, strip.size) for strip in strips]).to_bytes(4)
         pieces = [_ZLIB_HEADER, *(strip.piece for strip in strips), _LAST_BLOCK, check]
-        return png_of(snapshot.width, snapshot.height, pieces)
+        return png_of(snapshot.width, snapshot.height, pieces, colours, transparent=transparent)
 
     def _strip(self, snapshot: MapSnapshot, view: TileView, ty: int) -> Strip:
         """The rows of the snapshot that lie in this row of tiles: those of before, if they are the same."""
@@ -78,8 +85,8 @@ class MapPicture:
         before = self._strips.get(ty)
         if before is not None and before.of == of:
             return before
-        grey = snapshot.encode(self._encoder, slice(south - rect.iy, north - rect.iy))[::-1]
-        rows = unfiltered(grey)
+        pixels = snapshot.encode(self._encoder, slice(south - rect.iy, north - rect.iy))[::-1]
+        rows = unfiltered(pixels)
         packer = isal_zlib.compressobj(LEVEL, isal_zlib.DEFLATED, -isal_zlib.MAX_WBITS)
         piece = packer.compress(rows) + packer.flush(isal_zlib.Z_FULL_FLUSH)
         return Strip(of, piece, isal_zlib.adler32(rows), rows.nbytes)

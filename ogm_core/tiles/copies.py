@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.aging import Aging
+from ogm_core.tiles.aging import Aging, aged_revisions
 from ogm_core.tiles.store import TILE, TileStore
 
 _FEW = 32
@@ -58,6 +58,8 @@ class TileCopies:
     """Shape (tiles in x, tiles in y), from the lower-left one."""
     copied: NDArray[np.int64]
     """Of the same shape: the revision at which each tile was copied, 0 where none was."""
+    of: NDArray[np.int64]
+    """Of the same shape: the revision that each tile's cells are of, as the store counts; 0: none."""
     blocks: tuple[Block, ...]
     """In order of their tiles' numbers."""
     revision: int
@@ -69,13 +71,22 @@ class TileCopies:
     def nbytes(self) -> int:
         """Memory that the copy holds, what its tiles share with other copies included."""
         tiles = (plane for block in self.blocks for plane in block.planes.values())
-        return self.numbers.nbytes + sum(
+        return 3 * self.numbers.nbytes + sum(
             (plane if plane.base is None else plane.base).nbytes for plane in tiles
         )
 
     def placed(self, rect: CellRect) -> NDArray[np.int64]:
         """`numbers` of the tiles of `rect`, which holds this one's; those of the others are 0."""
         return placed(self.numbers, self.rect, rect)
+
+    def revisions(self, columns: slice, rows: slice) -> NDArray[np.int64]:
+        """Of some tiles of `numbers`: the revision since which each is as it is; -1 where none was written.
+
+        Within a lineage, equal revisions of a tile are equal cells. What a map begins with is of revision 0
+        until the first scan is in; then it is of 1, as if that had written it.
+        """
+        of = self.of[columns, rows]
+        return np.where(of == 0, -1, np.minimum(of, self.revision))
 
     def find(self, numbers: NDArray[np.int64]) -> list[tuple[Tiles, NDArray[np.intp], NDArray[np.int64]]]:
         """Where tiles of these numbers, none of them 0, lie.
@@ -156,10 +167,13 @@ def copy_tiles(
     numbers.flags.writeable = False
     copied.reshape(-1)[which] = revision
     copied.flags.writeable = False
+    of = store.touched.copy() if aging is None else aged_revisions(store.touched, copied, aging.ticks)
+    of.flags.writeable = False
     if len(which):
         blocks = (*blocks, Block(first, planes, len(which)))
     lineage = object() if before is None else before.lineage
-    return TileCopies(store.rect, numbers, copied, blocks, revision, first + len(which), lineage)
+    end = first + len(which)
+    return TileCopies(store.rect, numbers, copied, of, blocks, revision, end, lineage)
 
 
 def uncopied_tiles(store: TileStore, before: TileCopies | None) -> int:
@@ -212,7 +226,7 @@ def _to_copy(
     """
     if before is None:
         nowhere, none = CellRect(store.rect.ix, store.rect.iy, 0, 0), np.zeros((0, 0), np.int64)
-        before = TileCopies(nowhere, none, none, (), 0, 1, None)
+        before = TileCopies(nowhere, none, none, none, (), 0, 1, None)
     numbers, copied = before.placed(store.rect), placed(before.copied, before.rect, store.rect)
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.

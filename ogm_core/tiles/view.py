@@ -1,7 +1,6 @@
 """View of copied tiles as planes of a rectangle: laid out only where somebody asks for them."""
 
 import threading
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.cells.arrays import CellArrays
-from ogm_core.cells.model import CellSource, Plane, Planes, StoredCells
+from ogm_core.cells.model import CellSource, Plane, Planes
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import TileCopies
 from ogm_core.tiles.store import TILE
@@ -48,11 +47,7 @@ class TileView:
         """
         rect = self._cut(rows, columns)
         if margin:
-            return self._laid_out(
-                CellRect(
-                    rect.ix - margin, rect.iy - margin, rect.width + 2 * margin, rect.height + 2 * margin
-                )
-            )
+            return self.window(rect, margin)
         if rect == self.rect:
             with self._lock:
                 if self._whole is None:
@@ -67,6 +62,17 @@ class TileView:
             ]
             for kind in self._kinds
         }
+
+    def window(self, rect: CellRect, margin: int = 0) -> Planes:
+        """The planes of any cells of the lattice, also of those outside; 0 where nothing was written."""
+        return self._laid_out(rect.widened(margin))
+
+    def side_by_side(self, numbers: NDArray[np.int64]) -> Planes:
+        """The planes of tiles of these numbers, from left to right; 0 is a tile that was never written."""
+        written = np.flatnonzero(numbers)
+        return self._dense(
+            numbers[written], TILE * written, np.zeros_like(written), (TILE, TILE * len(numbers))
+        )
 
     def part(self, rows: slice, columns: slice) -> CellSource:
         """The rectangle of some rows and columns; it is laid out when somebody asks for it."""
@@ -96,7 +102,7 @@ class TileView:
         (south, north, _), (west, east, _) = rows.indices(self.rect.height), columns.indices(self.rect.width)
         return CellRect(self.rect.ix + west, self.rect.iy + south, max(east - west, 0), max(north - south, 0))
 
-    def _laid_out(self, rect: CellRect) -> Mapping[str, StoredCells]:
+    def _laid_out(self, rect: CellRect) -> Planes:
         frame = self.tiles.rect
         shape = self.tiles.numbers.shape
         west, south = max((rect.ix - frame.ix) // TILE, 0), max((rect.iy - frame.iy) // TILE, 0)
@@ -104,11 +110,17 @@ class TileView:
         north = min(-((frame.iy - rect.iy - rect.height) // TILE), shape[1])
         numbers = self.tiles.numbers[west : max(east, west), south : max(north, south)]
         tx, ty = np.nonzero(numbers)
-        found = self.tiles.find(numbers[tx, ty])
         columns, rows = TILE * (tx + west) + frame.ix - rect.ix, TILE * (ty + south) + frame.iy - rect.iy
+        return self._dense(numbers[tx, ty], columns, rows, (rect.height, rect.width))
+
+    def _dense(
+        self, numbers: NDArray[np.int64], columns: NDArray[Any], rows: NDArray[Any], shape: tuple[int, int]
+    ) -> Planes:
+        """The planes of rows and columns with tiles of these numbers in these places, and 0 elsewhere."""
+        found = self.tiles.find(numbers)
         planes = {}
         for name, dtype, side in self._kinds:
-            dense = np.zeros((rect.height * side, rect.width * side), dtype)
+            dense = np.zeros((shape[0] * side, shape[1] * side), dtype)
             for tiles, here, which in found:
                 _lay_out(tiles[name], which, columns[here] * side, rows[here] * side, dense, TILE * side)
             planes[name] = dense

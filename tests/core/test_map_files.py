@@ -105,8 +105,9 @@ def test_a_wall_in_the_north_is_at_the_top():
 
 def test_palettes_by_name():
     assert [PALETTES["ros"], PALETTES["probability"]] == [ros_grey, probability_grey]
-    for encode in (encode_png, encode_pgm):
-        with pytest.raises(BadParameter, match="palette: one of ros, probability is needed, got 'viridis'"):
+    every = "ros, probability, cividis, dark, costmap"
+    for encode, names in ((encode_png, every), (encode_pgm, "ros, probability")):
+        with pytest.raises(BadParameter, match=f"palette: one of {names} is needed, got 'viridis'"):
             encode(map_of(MODELS[0]), "viridis")
     with pytest.raises(BadParameter, match="values: one of percent, trinary"):
         encode_json(map_of(MODELS[0]), "default", "greys")

@@ -37,22 +37,25 @@ class Desk:
         self.receipts = Receipts()
         self.answers = Answers("hall", self.live, self.receipts, Monitor(self.live))
         self.encoded = []
-        for name in ("json", "npz", "png", "pgm", "yaml"):
+        for name in ("json", "npz", "png", "pgm", "pgw", "yaml"):
             self._count(monkeypatch, name)
 
     def _count(self, monkeypatch, name):
         encode = getattr(formats_module, f"encode_{name}")
 
-        def counted(*arguments):
+        def counted(*arguments, **options):
             self.encoded.append(name)
-            return encode(*arguments)
+            return encode(*arguments, **options)
 
         monkeypatch.setattr(formats_module, f"encode_{name}", counted)
         if name == "png":  # that of the whole map is kept up to date
             png = answers_module.MapPicture.png
-            monkeypatch.setattr(
-                answers_module.MapPicture, "png", lambda *given: (self.encoded.append(name), png(*given))[1]
-            )
+
+            def counted_picture(*given, **options):
+                self.encoded.append(name)
+                return png(*given, **options)
+
+            monkeypatch.setattr(answers_module.MapPicture, "png", counted_picture)
 
     def scan(self, *ranges, pose=HERE, stamp=0):
         """Integrate beams to the east, north, west and south."""
@@ -149,19 +152,25 @@ def test_what_else_is_answered_has_no_validator(desk):
 
 @pytest.mark.parametrize("form", ["", "PNG", "jpeg", "png "])
 def test_an_unknown_format_is_told_with_those_there_are(desk, form):
-    with pytest.raises(UnknownName, match="png, json, pgm, yaml, npz"):
+    with pytest.raises(UnknownName, match="png, pgw, json, pgm, yaml, npz"):
         desk.answers.map(form, {})
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"regoin": "0,0,1,1"}, "regoin: unknown parameter; there are: at, max_size, palette, region"),
+        (
+            {"regoin": "0,0,1,1"},
+            "regoin: unknown parameter; there are: at, max_size, palette, region, transparent",
+        ),
         ({"region": "0,0,1"}, "region: xmin,ymin,xmax,ymax is needed, got '0,0,1'"),
         ({"region": "0,0,1,x"}, "region: a number is needed, got 'x'"),
         ({"region": "7,7,8,8"}, "lies wholly outside the map, x 0.5 to 2.5, y 0 to 0.5 m"),
         ({"max_size": "0"}, "max_size: a number of pixels, 1 or more, is needed, got '0'"),
-        ({"palette": "grey"}, "palette: one of ros, probability is needed, got 'grey'"),
+        (
+            {"palette": "grey"},
+            "palette: one of ros, probability, cividis, dark, costmap is needed, got 'grey'",
+        ),
     ],
 )
 def test_a_bad_parameter_is_told_with_what_to_do(desk, given, message):

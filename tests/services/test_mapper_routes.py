@@ -12,8 +12,9 @@ from ogm_core.placing.receipts import DROP_REASONS
 from status_json import NO_POSES
 
 HIT = math.log(0.7 / 0.3)
-ROUTES = ["/map.png", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/cell", "/quality", "/status"]
-ROUTES += ["/livez", "/readyz", "/metrics", "/version", "/"]
+MAPS = ["/map.png", "/map.pgw", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/tiles.json"]
+ROUTES = [*MAPS, "/cell", "/quality", "/status", "/livez", "/readyz", "/metrics", "/version", "/"]
+TILES = "/tiles/{z}/{x}/{y}.png"
 QUERIES = {"/raycast": "get", "/check": "post"}
 WRITES = {
     "/reset": "post",
@@ -32,7 +33,7 @@ def problem(response):
 
 
 def test_only_maps_may_be_kept_by_a_cache(cross):
-    others = [path for path in ROUTES if not path.startswith("/map.")]
+    others = [path for path in ROUTES if path not in MAPS]
     others[others.index("/cell")] = "/cell?x=0&y=0"
     others += ["/docs", "/openapi.json", "/static-offline-docs/swagger-ui.css", "/nothing", "/map.png?no=1"]
     for path in others:
@@ -252,7 +253,7 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
     assert document["openapi"].startswith("3.")
     assert document["info"]["title"] == "zenoh-ogm mapper"
     paths = document["paths"]
-    assert set(paths) == {*ROUTES, "/snapshots", *QUERIES, *WRITES}
+    assert set(paths) == {*ROUTES, TILES, "/snapshots", *QUERIES, *WRITES}
     assert {path: set(item) for path, item in paths.items() if set(item) != {"get"}} == {
         path: {method} for path, method in {**WRITES, "/check": "post"}.items()
     }
@@ -262,7 +263,9 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
         if "get" in item
     }
     assert {path: names for path, names in named.items() if names} == {
-        "/map.png": {"region", "at", "palette", "max_size"},
+        "/map.png": {"region", "at", "palette", "transparent", "max_size"},
+        "/map.pgw": {"region", "at", "max_size"},
+        "/tiles/{z}/{x}/{y}.png": {"z", "x", "y", "palette", "rev"},
         "/map.json": {"region", "at", "values"},
         "/map.pgm": {"region", "at", "palette"},
         "/map.yaml": {"region", "at"},
@@ -272,15 +275,17 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
             *("x", "y", "theta", "angle_min", "angle_increment", "n", "range_max", "unknown"),
         },
     }
-    for path in ROUTES:
+    asked = {"/cell": "/cell?x=0&y=0", TILES: TILES.format(z=10, x=-1, y=0)}
+    for path in (*ROUTES, TILES):
         operation = paths[path]["get"]
         assert operation["summary"] not in ("", "Handle")
-        served = cross.http.get(path if path != "/cell" else "/cell?x=0&y=0").headers["content-type"]
+        served = cross.http.get(asked.get(path, path)).headers["content-type"]
         assert list(operation["responses"]["200"]["content"]) == [served.partition(";")[0]]
         for parameter in operation.get("parameters", []):
-            assert parameter["in"] == "query"
+            in_path = path == TILES and parameter["name"] in ("z", "x", "y")
+            assert parameter["in"] == ("path" if in_path else "query")
             assert parameter["description"]
-            assert parameter["required"] == (path == "/cell")
+            assert parameter["required"] == (in_path or path == "/cell")
 
 
 def test_openapi_documents_what_a_route_may_answer(cross):
@@ -289,9 +294,10 @@ def test_openapi_documents_what_a_route_may_answer(cross):
         path: set(operation["responses"]) for path, item in paths.items() for operation in item.values()
     }
     assert all(answers >= {"200", "400"} for answers in documented.values())
-    assert {path for path, answers in documented.items() if "304" in answers} == set(ROUTES[:5])
-    for path in ROUTES[:5]:
-        sent = {name for name in cross.http.get(path).headers if name == "etag" or name.startswith("ogm-")}
+    assert {path for path, answers in documented.items() if "304" in answers} == {*MAPS, TILES}
+    for path in (*MAPS, TILES):
+        headers = cross.http.get(path.format(z=16, x=0, y=0)).headers
+        sent = {name for name in headers if name == "etag" or name.startswith("ogm-")}
         answers = paths[path]["get"]["responses"]
         assert {name.lower() for name in answers["200"]["headers"]} == sent
         assert answers["304"]["headers"] == answers["200"]["headers"]
@@ -317,10 +323,12 @@ def test_openapi_describes_values_that_are_taken_and_no_others(cross):
         for path, item in paths.items()
         for parameter in item.get("get", {}).get("parameters", [])
     }
-    for name in ("palette", "values"):
-        [path, *_] = [path for path, of in schema if of == name]
+    of_a_picture = {(path, name) for path, name in schema if name in ("palette", "transparent", "values")}
+    assert len(of_a_picture) == 5
+    for path, name in of_a_picture:
         for value in schema[path, name]["enum"]:
-            assert cross.http.get(path, params={name: value}).status_code == 200
+            url = path.format(z=16, x=0, y=0)
+            assert cross.http.get(url, params={name: value}).status_code == 200
     region = re.compile(schema["/map.png", "region"]["pattern"])
     for text, fits in (
         ("-1,-1,1,1", True),

@@ -8,7 +8,7 @@ import yaml
 
 from ogm_services.mapper.serving import map_formats
 
-FORMATS = ("png", "json", "pgm", "yaml", "npz")
+FORMATS = ("png", "json", "pgm", "yaml", "npz", "pgw")
 
 
 def problem(response, status, slug):

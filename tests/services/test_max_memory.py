@@ -76,7 +76,7 @@ def test_what_others_hold_stops_only_what_needs_new_tiles(monkeypatch):
     live.integrate(*beam())
     before = live.snapshot().known_cells
     others[0] = 200 * MEBIBYTE
-    with pytest.raises(LimitReached, match=r"max_memory, 67108864 bytes.*\(queue 200 MiB, map "):
+    with pytest.raises(LimitReached, match=r"max_memory, 67108864 bytes.*\(queue 200 MiB, copies .*, map "):
         live.integrate(*beam(1000.0))
     live.integrate(*beam(length=3.0))
     assert live.snapshot().known_cells == before + 2

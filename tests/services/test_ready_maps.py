@@ -5,7 +5,7 @@ from fastapi import Request
 
 from ogm_services.mapper.live.live_map import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
-from ogm_services.mapper.serving.ready_maps import ReadyMaps
+from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer
 
 META = {
@@ -41,7 +41,7 @@ def keep(ready, body, queries):
     """How many are kept after each query."""
     counts = []
     for query in queries:
-        response = ready.keep(request(query), Answer(body, "image/png", META))
+        response = ready.keep(request(query), Ready.map(Answer(body, "image/png", META)))
         assert response.body == body
         counts.append(len(ready._ready))
     return counts

@@ -19,12 +19,15 @@ from ogm_core.lattice import Region
 from ogm_core.quality import agreement
 from ogm_core.queries import ray_kernel
 from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
+from ogm_core.tiles import overviews
 from ogm_core.tiles import view as tiled_cells
+from ogm_core.tiles.pyramid import Square
 from ogm_core.types import Pose, Scan, Sweep
 from ogm_core.wire.messages import decode_scan, encode_scan
 from ogm_services.mapper.live import warm_up as warm_up_module
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up, warm_up_rest
+from ogm_services.mapper.serving.map_tiles import MapTiles
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +55,8 @@ KERNELS = (
     tiled_cells._count_written,
     tiled_cells._lay_out,
     tiled_cells._count_values,
+    overviews.make_overviews,
+    overviews.put_together,
 )
 
 
@@ -63,6 +68,8 @@ LATER = (
     agreement.agreement,
     ray_kernel.cast_rays,
     tiled_cells._count_values,
+    overviews.make_overviews,
+    overviews.put_together,
 )
 """Kernels that no scan waits for, unless it is its sensor's first sweep or the map is full."""
 
@@ -120,6 +127,7 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
     warm_up_rest(settings)
     before = compiled()
     live_map = LiveMap(OccupancyGrid(settings))
+    tiles = MapTiles(live_map)
     for scan in scans():
         poses = np.zeros((scan.ranges.size, 3))
         live_map.integrate(scan, Pose(0, 0, 0))
@@ -131,6 +139,8 @@ def test_afterwards_nothing_is_compiled(sensor, traversal, bounds, cells, outsid
                 encode(snapshot, palette)
         encode_json(snapshot, "")
         encode_npz(snapshot)
+        for z in range(10, 17):
+            tiles.tile(Square(z, 0, -1), "ros")
     live_map.info()
     live_map.quality()
     Fan((0.0, 0.0), [0.0, 1.0], 2.0, through_unknown=True).cast(

@@ -20,6 +20,8 @@ from ogm_core.sensor_models.hits import hits_near_by
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
+from ogm_core.tiles.pyramid import LEAST_Z, Square, TilePyramid
+from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.compilation import compiling_until
@@ -40,7 +42,7 @@ def warm_up(settings: GridSettings) -> None:
 
 
 def warm_up_rest(settings: GridSettings) -> None:
-    """The same for what is rare, or can wait: storing, quality, other formats, sweeps, a map that is full."""
+    """The same for what can wait: storing, quality, other formats, tiles, sweeps, a map that is full."""
     small, scan, pose = _small(settings)
     scratch = LiveMap(OccupancyGrid(small))
     scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
@@ -50,7 +52,8 @@ def warm_up_rest(settings: GridSettings) -> None:
     whole = scratch.snapshot()
     start, ahead = whole.lattice.in_cells(np.array(pose[:2])).tolist(), np.array([[1.0, 0.0]])
     cast_rays((start[0], start[1]), ahead, 1.0, False, whole.offset, whole.encode(trinary))
-    encode_json(scratch.snapshot(), "", "percent")
+    encode_json(whole, "", "percent")
+    TilePyramid().pixels(cast(TileView, whole.stored), whole.model, Square(LEAST_Z, 0, -1))
     with suppress(LimitReached):  # a map that is full counts tiles by another kernel
         OccupancyGrid(replace(small, max_bytes=1)).integrate(scan, pose)
 

@@ -3,9 +3,10 @@
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from ogm_core.cells.value_bytes import COLOURS, value_byte
 from ogm_core.files.map_files import DEFAULT_PALETTE, PALETTES
 from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
@@ -26,7 +27,9 @@ from ogm_services.mapper.serving.map_formats import (
     number,
     region_of,
     shrunk,
+    transparent,
 )
+from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
 from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
@@ -72,10 +75,12 @@ class Answers:
         self._cache = AnswerCache(self.now, self.cache_room)
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
+        self._coloured = MapPicture(value_byte)
+        self._tiles = MapTiles(live_map, self.cache_room, self._in_flight)
         self._ready = ready
         self.queries = Queries(live_map, self._large, self._in_flight, self.check_ready)
         """What is computed from the map for who asks."""
-        self._caches: list[Cache] = [self._cache, *self._pictures.values()]
+        self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self._tiles]
         if memory is not None:
             memory.add("caches", self.cached_bytes, let_go=self._let_go)
             memory.add("status", lambda: self._status.nbytes)
@@ -132,7 +137,7 @@ class Answers:
 
     def _cells(self, form: str, given: Parameters, region: Region | None) -> int:
         """How many cells an answer looks at; the picture that is kept up to date looks at few."""
-        kept = form == "png" and given.keys() <= {"palette"}
+        kept = form == "png" and given.keys() <= {"palette", "transparent"}
         return 0 if kept else self._map.cells_in(region)
 
     def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
@@ -145,10 +150,13 @@ class Answers:
             size = 2 * picture.nbytes + cropped.width * cropped.height // 16
         with self._in_flight.making(size):
             shown = shrunk(cropped, given)
-            if picture is not None:
-                body = picture.png(snapshot)
-            else:
+            if picture is None:
                 body = wanted.encode(shown, self._map_name, given)
+            elif picture is self._coloured:
+                colours = COLOURS[given.get("palette", DEFAULT_PALETTE)]
+                body = picture.png(snapshot, colours, transparent=transparent(given))
+            else:
+                body = picture.png(snapshot)
         answer = Answer(body, wanted.media_type, shown.meta())
         self._cache.keep(key, Identity.of(snapshot), answer)
         if self._memory is not None:
@@ -159,7 +167,29 @@ class Answers:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
         if wanted is not MAP_FORMATS["png"] or whole.empty or "max_size" in given:
             return None
-        return self._pictures.get(given.get("palette", DEFAULT_PALETTE))
+        palette = given.get("palette", DEFAULT_PALETTE)
+        if palette not in COLOURS:
+            return None
+        return self._coloured if transparent(given) else self._pictures.get(palette, self._coloured)
+
+    def tile(self, place: Mapping[str, str], given: Parameters) -> MapTile:
+        """The tile of the map that `z`, `x` and `y` name.
+
+        Raises:
+            BadParameter: one of them is no whole number, or a parameter is unknown or wrong.
+            UnknownName: there are no tiles there.
+            Busy: there is no memory left to make it.
+        """
+        self.check_ready()
+        tile = self._tiles.tile(square_of(place), palette_of(given))
+        if self._memory is not None:
+            self._memory.make_room()
+        return tile
+
+    def tiles(self, base: str) -> Answer:
+        """What a viewer has to know of the tiles, which are below the URL `base`."""
+        self.check_ready()
+        return self._tiles.description(self._map_name, base)
 
     @property
     def saved(self) -> SavedMaps:

@@ -7,7 +7,7 @@ from typing import TypeVar
 from fastapi import FastAPI, Request, Response
 
 from ogm_core.errors import BadParameter, cut
-from ogm_services.mapper.serving.api_description import Responses, described_parameters
+from ogm_services.mapper.serving.api_description import Parameter, Responses
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.turns import Turns
 
@@ -21,7 +21,7 @@ def add_get(
     handler: Handler,
     answers: Responses,
     summary: str,
-    parameters: Sequence[str] = (),
+    parameters: Sequence[Parameter] = (),
 ) -> None:
     """Route GET and HEAD; what is documented here is made elsewhere."""
     app.add_api_route(
@@ -30,7 +30,7 @@ def add_get(
         summary=summary,
         response_class=Response,  # without a media type of its own, so that the described one stands alone
         responses=answers,
-        openapi_extra={"parameters": described_parameters(parameters)} if parameters else None,
+        openapi_extra={"parameters": list(parameters)} if parameters else None,
     )
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 

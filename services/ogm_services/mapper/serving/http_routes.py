@@ -18,7 +18,12 @@ from ogm_core.errors import OgmError
 from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.api_description import map_responses, probe_responses, responses
+from ogm_services.mapper.serving.api_description import (
+    described_parameters,
+    map_responses,
+    probe_responses,
+    responses,
+)
 from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
@@ -29,11 +34,12 @@ from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.query_routes import READS, add_query_routes
-from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
+from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
+from ogm_services.mapper.serving.tile_routes import add_tile_routes
 from ogm_services.mapper.serving.write_routes import add_write_routes
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
@@ -119,9 +125,12 @@ def build_app(
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(shares.maps, answers, ready, form), f"The map as {form.upper()}"
         described = map_responses(wanted.media_type)
-        add_get(app, f"/map.{form}", handler, described, summary, sorted(wanted.parameters))
+        parameters = described_parameters(sorted(wanted.parameters), form=form)
+        add_get(app, f"/map.{form}", handler, described, summary, parameters)
+    add_tile_routes(app, shares.maps, answers, ready)
     maps, described = shares.maps, responses("application/json")
-    add_get(app, "/cell", _handler(maps, answers.cell), described, "One cell", ["x", "y"])
+    place = described_parameters(["x", "y"])
+    add_get(app, "/cell", _handler(maps, answers.cell), described, "One cell", place)
     saved = responses("application/json", SnapshotList)
     add_get(app, "/snapshots", _handler(maps, answers.snapshots), saved, "The maps that are saved")
     add_get(app, "/quality", _handler(maps, answers.quality), described, "The quality figures")
@@ -177,7 +186,7 @@ def _map_handler(turns: Turns, answers: Answers, ready: ReadyMaps, form: str) ->
         given = parameters_of(request)
         answer = await in_turn(turns, partial(answers.map, form, given))
         # One that is saved under a name may be deleted while the map stays the same.
-        return ready.response(request, answer) if "at" in given else ready.keep(request, answer)
+        return ready.response(request, answer) if "at" in given else ready.keep(request, Ready.map(answer))
 
     return handle
 

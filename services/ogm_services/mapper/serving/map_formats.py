@@ -12,6 +12,7 @@ from ogm_core.files.map_files import (
     encode_json,
     encode_npz,
     encode_pgm,
+    encode_pgw,
     encode_png,
     encode_yaml,
 )
@@ -36,9 +37,14 @@ class MapFormat:
 MAP_FORMATS: dict[str, MapFormat] = {
     "png": MapFormat(
         "image/png",
-        frozenset({"region", "at", "palette", "max_size"}),
+        frozenset({"region", "at", "palette", "transparent", "max_size"}),
         4.0,  # cells of a block by their levels, while it is shrunk; else 2
-        lambda snapshot, _, given: encode_png(snapshot, given.get("palette", DEFAULT_PALETTE)),
+        lambda snapshot, _, given: encode_png(
+            snapshot, given.get("palette", DEFAULT_PALETTE), transparent=transparent(given)
+        ),
+    ),
+    "pgw": MapFormat(
+        "text/plain", frozenset({"region", "at", "max_size"}), 4.0, lambda snapshot, *_: encode_pgw(snapshot)
     ),
     "json": MapFormat(
         "application/json",
@@ -141,6 +147,18 @@ def shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:
     if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) > 0):
         raise BadParameter(f"max_size: a number of pixels, 1 or more, is needed, got {cut(text)!r}")
     return snapshot.shrink(int(text))
+
+
+def transparent(given: Parameters) -> bool:
+    """Whether what is unknown is not to be drawn.
+
+    Raises:
+        BadParameter: `transparent` is neither 0 nor 1.
+    """
+    value = given.get("transparent", "0")
+    if value not in ("0", "1"):
+        raise BadParameter(f"transparent: 0 or 1 is needed, got {cut(value)!r}")
+    return value == "1"
 
 
 def number(name: str, text: str | None) -> float:

@@ -1,7 +1,8 @@
-"""HTTP validators: maps that are ready to be sent, have not changed, or are no longer the one wanted."""
+"""HTTP validators: maps and tiles ready to be sent, not changed, or no longer the ones wanted."""
 
 import re
 import threading
+from collections.abc import Mapping
 
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -17,7 +18,7 @@ NO_STORE = {"Cache-Control": "no-store"}
 
 
 class ReadyMaps:
-    """Maps that are ready to be sent again, byte for byte, as long as the map does not change.
+    """Maps and tiles that are ready to be sent again, byte for byte, as long as the map does not change.
 
     As ASGI middleware it answers for them at once: on the event loop, without a thread, a lock or a route.
     All of it belongs to the event loop, but that any thread may `let_go`.
@@ -27,7 +28,7 @@ class ReadyMaps:
         self._answers = answers
         self._keeping = threading.Lock()
         self._of: Identity | None = None
-        self._ready: dict[tuple[str, bytes], _ReadyMap] = {}
+        self._ready: dict[tuple[str, bytes], Ready] = {}
         self._size = 0
 
     def around(self, app: ASGIApp) -> ASGIApp:
@@ -54,12 +55,12 @@ class ReadyMaps:
         with self._keeping:
             self._ready, self._size = {}, 0
 
-    def keep(self, request: Request, answer: Answer) -> Response:
-        """The response to a request for a map, kept if the map is still the same."""
-        ready, now = _ReadyMap(answer), self._answers.now()
-        if ready.of == now[:3]:
+    def keep(self, request: Request, ready: "Ready") -> Response:
+        """The response to a request, kept if the map is still the same."""
+        now = self._answers.now()
+        if ready.of[:3] == now[:3]:
             asked = request.scope["path"], request.scope["query_string"]
-            size = len(answer.body) + sum(map(len, asked)) + BYTES_BESIDES
+            size = ready.size + sum(map(len, asked)) + BYTES_BESIDES
             room = self._answers.cache_room
             with self._keeping:
                 if self._of != now or self._size + size > room:
@@ -71,21 +72,28 @@ class ReadyMaps:
 
     @staticmethod
     def response(request: Request, answer: Answer) -> Response:
-        """The response to a request for a map that is not the live one; nothing is kept."""
-        return _ReadyMap(answer).response_to(request.scope)
+        """The response to a request for a map that is not kept: not the live one, or not the same for all."""
+        return Ready.map(answer).response_to(request.scope)
 
 
-class _ReadyMap:
+class Ready:
     """The responses that a map can be: itself, that it is the one known, that it is not the one wanted."""
 
-    def __init__(self, answer: Answer) -> None:
-        headers = _map_headers(answer)
-        self.of = headers["OGM-Epoch"], headers["OGM-Run"], int(headers["OGM-Revision"])
+    def __init__(self, body: bytes, media_type: str, headers: Mapping[str, str], of: Identity) -> None:
+        """`headers` with an ETag; `of`: the map that was looked at, on whose stamp nothing depends."""
+        self.of = of
+        self.size = len(body)
         self._etag = headers["ETag"]
-        self._whole = Response(answer.body, media_type=answer.media_type, headers=headers)
+        self._whole = Response(body, media_type=media_type, headers=headers)
         self._not_modified = Response(status_code=304, headers=headers)
-        changed = Changed(f"the map is at {self._etag} now, which is not what If-Match asks for: begin again")
-        self._changed = Response(problem_of(changed), status_of(changed), NO_STORE, MEDIA_TYPE)
+
+    @classmethod
+    def map(cls, answer: Answer) -> "Ready":
+        """Those of a map, or of what is said of all of it."""
+        headers = _map_headers(answer)
+        meta = answer.meta or {}
+        of = Identity(meta["epoch"], meta["run"], meta["revision"], meta["stamp"])
+        return cls(answer.body, answer.media_type, headers, of)
 
     def response_to(self, scope: Scope) -> Response:
         """One of them, as the request's validators want it; it may be sent any number of times.
@@ -94,7 +102,10 @@ class _ReadyMap:
         """
         wanted, known = (_lines(scope, name) for name in (b"if-match", b"if-none-match"))
         if wanted and not _matches(wanted, self._etag, weak=False):
-            return self._changed
+            changed = Changed(
+                f"the map is at {self._etag} now, which is not what If-Match asks for: begin again"
+            )
+            return Response(problem_of(changed), status_of(changed), NO_STORE, MEDIA_TYPE)
         return self._not_modified if _matches(known, self._etag, weak=True) else self._whole
 
 

@@ -1,0 +1,216 @@
+"""Tile pyramid: a map's value bytes as squares of 256 x 256 pixels, at seven resolutions.
+
+z = 16 has a pixel a cell, and each z below half as many a side, down to z = 10. Square (x, y) of z = 16 - k
+holds the cells with x = floor(ix / (256 * 2^k)) and y = -1 - floor(iy / (256 * 2^k)): x counts to the east
+and y to the south, from the map's anchor, so that squares never move however the map grows. Four squares make
+one of the z below: (floor(x / 2), floor(y / 2)).
+"""
+
+import threading
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.model import CellModel
+from ogm_core.cells.value_bytes import value_byte
+from ogm_core.lattice import CellRect
+from ogm_core.tiles.copies import TileCopies, placed
+from ogm_core.tiles.overviews import OVERVIEW_BYTES, TOP, make_overviews, put_together
+from ogm_core.tiles.store import TILE
+from ogm_core.tiles.view import TileView
+
+PIXELS: Final = 256
+"""Squares are so many pixels wide and high."""
+NATIVE_Z: Final = 16
+"""The z of a pixel a cell."""
+LEAST_Z: Final = NATIVE_Z - TOP
+_AT_ONCE: Final = 64
+"""So many tiles are laid out at a time, at most: it takes little memory, and few calls a tile."""
+_FIRST_ROWS: Final = 64
+
+
+class Square(NamedTuple):
+    """A square of pixels: z, and which one from the anchor."""
+
+    z: int
+    x: int
+    y: int
+
+    @property
+    def rect(self) -> CellRect:
+        """The cells under it."""
+        side = PIXELS << (NATIVE_Z - self.z)
+        return CellRect(self.x * side, (-1 - self.y) * side, side, side)
+
+
+class _Window(NamedTuple):
+    """Tiles of a copy's table that a rectangle of cells meets, and where that begins among them."""
+
+    columns: slice
+    rows: slice
+    column: int
+    row: int
+    """Tiles from the rectangle's first one to the window's."""
+
+
+def revision_of(tiles: TileCopies, model: CellModel, square: Square) -> int | None:
+    """The revision since which a square's pixels are as they are; None if nothing was written that matters.
+
+    The highest of the tiles that its cells meet, and those around them on which their probabilities depend.
+    """
+    window = _window(tiles, square.rect.widened(model.margin))
+    revision = int(tiles.revisions(window.columns, window.rows).max(initial=-1))
+    return None if revision < 0 else revision
+
+
+class TilePyramid:
+    """Overviews of the newest map that was asked for, made when they are, and made anew where it has changed.
+
+    Who owns what: all of it belongs to the caller of `pixels`, one at a time; `let_go` only puts another in
+    the place of what is kept.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept = _Overviews(None)
+
+    @property
+    def nbytes(self) -> int:
+        """What is kept; any thread may ask."""
+        return self._kept.nbytes
+
+    def let_go(self) -> None:
+        """Keep no overviews; any thread."""
+        self._kept = _Overviews(None)
+
+    def pixels(self, view: TileView, model: CellModel, square: Square) -> NDArray[np.uint8]:
+        """The value bytes of a square, (256, 256), row 0 north, of any revision; the newest are quick."""
+        if square.z == NATIVE_Z:
+            planes = view.window(square.rect, model.margin)
+            return model.encoded(planes, value_byte)[::-1]
+        tiles = view.tiles
+        with self._lock:
+            kept = self._kept
+            if kept.lineage is not tiles.lineage:  # of another store: equal revisions are other cells
+                kept = self._kept = _Overviews(tiles.lineage)
+            if kept.revision > tiles.revision:  # this reader's map is an older one
+                kept = _Overviews(tiles.lineage)
+            return kept.pixels(view, model, square)
+
+
+class _Overviews:
+    """Overviews of the tiles of one lineage, each of the revision that it was last asked for."""
+
+    def __init__(self, lineage: object) -> None:
+        self.lineage = lineage
+        self.revision = -1
+        self._rect = CellRect(0, 0, 0, 0)
+        self._made: NDArray[np.int64] = np.zeros((0, 0), np.int64)
+        """Of every tile 1 + the revision that its overviews are of; 0: it has none."""
+        self._which: NDArray[np.int32] = np.zeros((0, 0), np.int32)
+        """Of every tile 1 + which of `_rows` is its own; 0: it has none."""
+        self._rows: NDArray[np.uint8] = np.zeros((0, OVERVIEW_BYTES), np.uint8)
+        self._used = 0
+
+    @property
+    def nbytes(self) -> int:
+        return self._rows.nbytes + self._made.nbytes + self._which.nbytes
+
+    def pixels(self, view: TileView, model: CellModel, square: Square) -> NDArray[np.uint8]:
+        self.revision = view.tiles.revision
+        self._cover(view.tiles.rect)
+        window = _window(view.tiles, square.rect)
+        self._bring_up_to_date(view, model, window)
+        level = NATIVE_Z - square.z
+        pixels = np.zeros((PIXELS, PIXELS), np.uint8)
+        side = TILE >> level
+        which = self._which[window.columns, window.rows] - np.int32(1)
+        put_together(self._rows, which, window.column * side, window.row * side, level, pixels)
+        return pixels[::-1]
+
+    def _cover(self, rect: CellRect) -> None:
+        """Have a place for every tile of a map, which only grows."""
+        if rect != self._rect:
+            self._made = _placed(self._made, self._rect, rect)
+            self._which = _placed(self._which, self._rect, rect)
+            self._rect = rect
+
+    def _bring_up_to_date(self, view: TileView, model: CellModel, window: _Window) -> None:
+        """Make the overviews of the tiles in a window that have none, or older ones."""
+        wanted = 1 + _with_margin(view.tiles, model.margin, window)
+        made = self._made[window.columns, window.rows]
+        stale = np.flatnonzero(wanted != made)
+        numbers = view.tiles.numbers[window.columns, window.rows].reshape(-1)[stale]
+        stale = stale[np.argsort(numbers)]  # as they lie in memory
+        tx, ty = np.divmod(stale, made.shape[1])
+        for first in range(0, len(stale), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            self._make(view, model, tx[part] + window.columns.start, ty[part] + window.rows.start)
+        made[tx, ty] = wanted[tx, ty]
+
+    def _make(self, view: TileView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]) -> None:
+        """Make the overviews of some tiles."""
+        which = self._which[tx, ty]
+        new = np.flatnonzero(which == 0)
+        self._make_room(len(new))
+        which[new] = np.arange(self._used + 1, self._used + 1 + len(new))
+        self._used += len(new)
+        self._which[tx, ty] = which
+        found = np.empty((len(which), OVERVIEW_BYTES), np.uint8)
+        make_overviews(_value_bytes(view, model, tx, ty), found)
+        self._rows[which - 1] = found
+
+    def _make_room(self, more: int) -> None:
+        if self._used + more > len(self._rows):
+            count = max(_FIRST_ROWS, self._used + more, len(self._rows) * 5 // 4)
+            grown = np.empty((count, OVERVIEW_BYTES), np.uint8)
+            grown[: self._used] = self._rows[: self._used]
+            self._rows = grown
+
+
+def _value_bytes(
+    view: TileView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]
+) -> NDArray[np.uint8]:
+    """The value bytes of some tiles of a copy, side by side."""
+    if not model.margin:
+        return model.encoded(view.side_by_side(view.tiles.numbers[tx, ty]), value_byte)
+    frame, parts = view.tiles.rect, []
+    for x, y in zip((frame.ix + TILE * tx).tolist(), (frame.iy + TILE * ty).tolist(), strict=True):
+        parts.append(model.encoded(view.window(CellRect(x, y, TILE, TILE), model.margin), value_byte))
+    return np.concatenate(parts, axis=1)
+
+
+def _placed(table: NDArray[Any], rect: CellRect, wider: CellRect) -> NDArray[Any]:
+    """A table of tiles that covers `wider`, which holds `rect` unless that is empty."""
+    return placed(table, rect if rect.cells else wider, wider)
+
+
+def _window(tiles: TileCopies, rect: CellRect) -> _Window:
+    """The tiles of a copy that `rect` meets; none, where it lies outside."""
+    here, places = [], []
+    ends = ((rect.ix, rect.width, tiles.rect.ix), (rect.iy, rect.height, tiles.rect.iy))
+    for (start, length, begin), count in zip(ends, tiles.numbers.shape, strict=True):
+        first, end = (start - begin) // TILE, -(-(start + length - begin) // TILE)
+        low = min(max(first, 0), count)
+        here.append(slice(low, max(low, min(end, count))))
+        places.append(low - first)
+    return _Window(here[0], here[1], places[0], places[1])
+
+
+def _with_margin(tiles: TileCopies, margin: int, window: _Window) -> NDArray[np.int64]:
+    """The revisions of a window's tiles; with a margin, the highest of each and the eight around it."""
+    if not margin:
+        return tiles.revisions(window.columns, window.rows)
+    low = [max(part.start - 1, 0) for part in window[:2]]
+    high = [min(part.stop + 1, count) for part, count in zip(window[:2], tiles.numbers.shape, strict=True)]
+    found = tiles.revisions(slice(low[0], high[0]), slice(low[1], high[1]))
+    shape = [part.stop - part.start + 2 for part in window[:2]]
+    around = np.full(shape, -1, np.int64)
+    x, y = (begin - part.start + 1 for begin, part in zip(low, window[:2], strict=True))
+    around[x : x + found.shape[0], y : y + found.shape[1]] = found
+    rows, columns = shape[0] - 2, shape[1] - 2
+    highest: NDArray[np.int64] = np.max(
+        [around[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0
+    )
+    return highest

@@ -1,0 +1,175 @@
+"""Tiles of the live map: pictures of 256 x 256 pixels that stay the same until what is under them changes."""
+
+import json
+import re
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, cast
+
+from ogm_core.cells.value_bytes import COLOURS, legend
+from ogm_core.errors import BadParameter, cut
+from ogm_core.files.map_files import DEFAULT_PALETTE, chosen
+from ogm_core.pictures.png import packed
+from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png
+from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, PIXELS, Square, TilePyramid, revision_of
+from ogm_core.tiles.view import TileView
+from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS, bytes_to_make, check_names
+from ogm_services.replies.answer import Answer, Parameters, UnknownName
+from ogm_services.replies.in_flight import InFlight
+
+TILE_PARAMETERS: Final = ("palette", "rev")
+MAX_PLACE: Final = 2**26
+"""Tiles are served from -MAX_PLACE + 1 to MAX_PLACE - 1."""
+_WHOLE = re.compile(r"-?[0-9]+")
+_DIGITS = 12
+_CELLS_AT_ONCE: Final = 2**18
+"""Of so many cells value bytes are made at a time."""
+_BYTES_BESIDES = 512
+"""What a stream that is kept takes besides its bytes, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapTile:
+    """The picture of a tile, and what its response says."""
+
+    png: bytes
+    of: Identity
+    """The map that was looked at."""
+    revision: int | None
+    """Since when it is so; None: it is empty."""
+    resolution: float
+    """Metres per pixel."""
+
+    @property
+    def tag(self) -> str:
+        """What its strong validator has between its quotes: another one once the tile has changed."""
+        life = f"{self.of.epoch}-{self.of.run}"
+        return f"{self.of.epoch}-empty" if self.revision is None else f"{life}-{self.revision}"
+
+
+class MapTiles:
+    """Tiles of a live map, with the streams of those that were asked for last. Any thread."""
+
+    def __init__(self, live_map: LiveMap, room: int = CACHE_BYTES, in_flight: InFlight | None = None) -> None:
+        """`room`: bytes of streams that may be kept; `in_flight` counts what is being made."""
+        self._map = live_map
+        self._room = room
+        self._in_flight = in_flight or InFlight()
+        self._pyramid = TilePyramid()
+        self._lock = threading.Lock()
+        self._streams: OrderedDict[Square, tuple[str, bytes]] = OrderedDict()
+        """With the tag of each, the one that was not asked for for longest first."""
+        self._size = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self._size + self._pyramid.nbytes
+
+    def let_go(self) -> None:
+        """Keep nothing of what is kept."""
+        self._pyramid.let_go()
+        with self._lock:
+            self._streams, self._size = OrderedDict(), 0
+
+    def tile(self, square: Square, palette: str) -> MapTile:
+        """A tile of the map as it is now.
+
+        Raises:
+            Busy: there is no memory left to make it.
+        """
+        snapshot = self._map.snapshot()
+        revision = revision_of(_view(snapshot).tiles, snapshot.model, square)
+        resolution = snapshot.resolution * 2 ** (NATIVE_Z - square.z)
+        tile = MapTile(EMPTY_TILE, Identity.of(snapshot), revision, resolution)
+        if revision is None:
+            return tile
+        stream = self._kept(square, tile.tag)
+        if stream is None:
+            with self._in_flight.making(bytes_to_make(MAP_FORMATS["png"], snapshot.model, _CELLS_AT_ONCE)):
+                stream = packed(self._pyramid.pixels(_view(snapshot), snapshot.model, square))
+            self._keep(square, tile.tag, stream)
+        return MapTile(tile_png(stream, palette), tile.of, revision, resolution)
+
+    def description(self, map_name: str, base: str) -> Answer:
+        """What a viewer has to know to show them, as TileJSON; `base` is the URL of all routes."""
+        snapshot = self._map.snapshot()
+        meta = snapshot.meta()
+        told = {name: meta[name] for name in ("epoch", "run", "revision", "resolution", "anchor")}
+        region = None if snapshot.empty else list(snapshot.lattice.region_of(snapshot.rect))
+        described: dict[str, Any] = {
+            "tilejson": "3.0.0",
+            "name": map_name,
+            "scheme": "xyz",
+            "tiles": [f"{base}tiles/{{z}}/{{x}}/{{y}}.png"],
+            "minzoom": LEAST_Z,
+            "maxzoom": NATIVE_Z,
+            "tilesize": PIXELS,
+            "ogm": {
+                **told,
+                "extent": region,
+                "palettes": list(COLOURS),
+                "legend": {palette: legend(palette) for palette in COLOURS},
+            },
+        }
+        return Answer(json.dumps(described).encode(), "application/json", meta)
+
+    def _kept(self, square: Square, tag: str) -> bytes | None:
+        with self._lock:
+            of, stream = self._streams.get(square, ("", b""))
+            if of != tag:
+                return None
+            self._streams.move_to_end(square)
+            return stream
+
+    def _keep(self, square: Square, tag: str, stream: bytes) -> None:
+        """Keep a stream in place of its tile's older one, and of those that nobody has asked for lately."""
+        with self._lock:
+            _, before = self._streams.pop(square, ("", None))
+            if before is not None:
+                self._size -= len(before) + _BYTES_BESIDES
+            self._streams[square] = tag, stream
+            self._size += len(stream) + _BYTES_BESIDES
+            while self._size > self._room:
+                _, (_, gone) = self._streams.popitem(last=False)
+                self._size -= len(gone) + _BYTES_BESIDES
+
+
+def square_of(place: Mapping[str, str]) -> Square:
+    """The tile that `z`, `x` and `y` name.
+
+    Raises:
+        BadParameter: one of them is no whole number.
+        UnknownName: there are no tiles there.
+    """
+    numbers = {}
+    for name in Square._fields:
+        text = place[name]
+        if _WHOLE.fullmatch(text) is None:
+            raise BadParameter(f"{name}: a whole number is needed, got {cut(text)!r}")
+        low, high = (LEAST_Z, NATIVE_Z) if name == "z" else (1 - MAX_PLACE, MAX_PLACE - 1)
+        if len(text) > _DIGITS or not low <= int(text) <= high:
+            raise UnknownName(f"{name}: there are tiles from {low} to {high}, not at {cut(text)}")
+        numbers[name] = int(text)
+    return Square(**numbers)
+
+
+def palette_of(given: Parameters) -> str:
+    """The palette that is asked for; `rev` may be anything.
+
+    Raises:
+        BadParameter: there is no such palette, or a parameter of another name.
+    """
+    check_names(given, set(TILE_PARAMETERS))
+    palette = given.get("palette", DEFAULT_PALETTE)
+    chosen(COLOURS, "palette", palette)
+    return palette
+
+
+def _view(snapshot: MapSnapshot) -> TileView:
+    return cast(TileView, snapshot.stored)
