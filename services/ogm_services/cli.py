@@ -15,6 +15,7 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
+from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
@@ -430,3 +431,4 @@ def repair(
 
 
 app.command()(ros2)
+app.command()(record)

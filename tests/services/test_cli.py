@@ -34,6 +34,7 @@ FLAGS = {
     f"{SERVICE_FLAGS}",
     "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise "
     f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
+    "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
     "info": "--json",
@@ -159,6 +160,10 @@ def one_line(result, code):
         ("simulate --start 1,inf", "--start: two numbers X,Y"),
         ("demo --start here", "--start: two numbers X,Y in metres are needed, got 'here'"),
         ("simulate --map a/b", "map_name 'a/b'"),
+        ("record", "-o FILE.mcap is needed"),
+        ("record -o a.mcap --repair a.mcap", "--repair, -o: give one of them"),
+        ("record -o a.jsonl", "-o a.jsonl: recordings of robots are MCAP files: end it in .mcap"),
+        ("record --repair none.mcap", "none.mcap: cannot be repaired (No such file or directory)"),
         ("ros2", "where are the robots? --dds"),
         ("ros2 --list", "where are the robots? --dds"),
         ("ros2 --zenoh tcp/a:1 --json", "--json: it goes with --list"),

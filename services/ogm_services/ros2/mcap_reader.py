@@ -83,7 +83,7 @@ class McapReader:
             return ""
         return (
             f"it was cut short: {self.position} of {self.size} bytes are read, {self.scans} scans and "
-            f"{self.poses} poses; mcap recover makes it whole"
+            f"{self.poses} poses; ogm record --repair makes it whole"
         )
 
     def __enter__(self) -> Self:
@@ -115,7 +115,9 @@ class McapReader:
         except BadRecording as error:
             if str(error).startswith(str(self.path)):
                 raise
-            raise BadRecording(f"{self.path}: {error}: mcap recover leaves out what is damaged") from error
+            raise BadRecording(
+                f"{self.path}: {error}: ogm record --repair leaves out what is damaged"
+            ) from error
         if not self.scans:
             only = f", only {self.poses} poses" if self.poses else ""
             raise BadRecording(f"{self.path}: holds no scan{only}{self._of_malformed()}")

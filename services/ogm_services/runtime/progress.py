@@ -1,4 +1,4 @@
-"""The progress bar of commands that work through a log; on stderr, and only where a person looks."""
+"""Progress of commands that work through a log, or record one; on stderr, and only where a person looks."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -6,6 +6,21 @@ from contextlib import contextmanager
 
 Show = Callable[[float], None]
 """Shows how much is done, in the unit of the total."""
+
+
+@contextmanager
+def progress_line() -> Iterator[Callable[[str], None]]:
+    """Show a line that changes, with something that moves, and give what changes it."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda text: progress.update(task, description=text)
 
 
 @contextmanager

@@ -1,8 +1,9 @@
-"""Handing on of messages, as a hold sees it: where they go, and what was decided of those before."""
+"""Handing on of messages: where they go, and what was decided of those before."""
 
 from collections.abc import Callable
 from typing import Protocol
 
+from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import Source
 
@@ -24,6 +25,38 @@ class Decided(Protocol):
 
     def wait_on(self, robot: str, until: float) -> None:
         """Let a robot's scans wait for their poses at least until then, s: they may come later than usual."""
+        ...
+
+
+class Placing(Protocol):
+    """Where messages end up: a `ScanPlacer`, or who takes them in its stead. The worker's, but for `decided`.
+
+    Times, s, are of one clock.
+    """
+
+    @property
+    def decided(self) -> Decided:
+        """What was decided; any thread."""
+        ...
+
+    def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
+        """Take a robot's pose."""
+        ...
+
+    def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
+        """Take a scan."""
+        ...
+
+    def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
+        """Note that the liveliness token of a robot's run is there."""
+        ...
+
+    def robot_gone(self, name: str, run: str, now: float = 0.0) -> None:
+        """Note that it is there no more."""
+        ...
+
+    def expire(self, now: float) -> None:
+        """Give up what has waited for too long, and robots that are gone for long."""
         ...
 
 

@@ -62,7 +62,9 @@ class HoldAndAsk:
     last time: nobody else waits for them. A robot's lock is held while one message of it is handed on.
     """
 
-    def __init__(self, caches: Caches, decided: Decided, intake: Intake) -> None:
+    def __init__(self, caches: Caches, decided: Decided, intake: Intake, who: str = "the mapper") -> None:
+        """`who` holds and asks, as the log calls it."""
+        self._who = who
         self._caches = caches
         self._decided = decided
         self._intake = intake
@@ -154,7 +156,7 @@ class HoldAndAsk:
             still = now - self._looked
             try:
                 if still > FROZEN:
-                    log.warning("the mapper stood still for %.1f s: robots' caches are asked", still)
+                    log.warning("%s stood still for %.1f s: robots' caches are asked", self._who, still)
                     self.ask_all()
                 self.look(now)
             except Exception:

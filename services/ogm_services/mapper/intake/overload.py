@@ -13,6 +13,10 @@ from ogm_services.mapper.intake.queue import ScanQueue
 
 PERIOD = 10.0
 """Each robot is told of at most this often, s."""
+CURE = (
+    "send fewer scans or beams, or let the map take less time for them "
+    "(reach, clear_range, a larger resolution, sensor_model)"
+)
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +35,15 @@ class Overload:
     """Counts scans that the queue dropped, and logs how many of which robot. Any thread."""
 
     def __init__(
-        self, queue: ScanQueue, receipts: Receipts, clock: Callable[[], float] = time.monotonic
+        self,
+        queue: ScanQueue,
+        receipts: Receipts,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        cure: str = CURE,
     ) -> None:
+        """`cure`: what the log says that helps."""
+        self._cure = cure
         self._queue = queue
         self._receipts = receipts
         self._clock = clock
@@ -71,6 +82,5 @@ class Overload:
         return (
             f"{source.robot}/{source.sensor}: {what} (overload): {queue.scans} scans, "
             f"{queue.bytes / 1e6:.0f} MB, {queue.work:.1f} s of work wait, and no robot's share is larger: "
-            "send fewer scans or beams, or let the map take less time for them "
-            "(reach, clear_range, a larger resolution, sensor_model)"
+            f"{self._cure}"
         )

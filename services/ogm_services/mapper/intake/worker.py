@@ -11,10 +11,10 @@ from typing import TypeVar
 
 from ogm_core.errors import BadMessage, OgmError
 from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import decode_pose, decode_scan
+from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.replies.answer import Unavailable
@@ -37,7 +37,7 @@ class Worker:
     def __init__(
         self,
         queue: ScanQueue,
-        placer: ScanPlacer,
+        placer: Placing,
         receipts: Receipts,
         *,
         max_beams: int,

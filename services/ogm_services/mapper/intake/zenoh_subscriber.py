@@ -1,4 +1,4 @@
-"""Zenoh subscriber of the mapper, its only one for messages: it counts them and puts them into the queue."""
+"""Zenoh subscriber of a mapper or recorder, its only one for messages: it counts them and queues them."""
 
 import logging
 import time
@@ -9,9 +9,10 @@ import zenoh
 
 from ogm_core.placing.reasons import too_many_robots
 from ogm_core.placing.receipts import Receipts
-from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
+from ogm_core.placing.scan_placer import ROBOTS
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.caches import Caches
+from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
@@ -42,11 +43,13 @@ class ZenohSubscriber:
         keys: MapKeys,
         queue: ScanQueue,
         receipts: Receipts,
-        placer: ScanPlacer,
+        placer: Placing,
         *,
         max_beams: int,
         overload: Overload | None = None,
+        who: str = "the mapper",
     ) -> None:
+        """`who` listens, as the log calls it."""
         self._session = session
         self._placer = placer
         self._keys = keys
@@ -55,7 +58,7 @@ class ZenohSubscriber:
         self._receipts = receipts
         self._reception = Reception(queue, receipts, max_beams=max_beams, overload=overload)
         caches = Caches(session, keys, self._reception.longest)
-        self.hold = HoldAndAsk(caches, placer.decided, self._reception)
+        self.hold = HoldAndAsk(caches, placer.decided, self._reception, who)
         """What holds robots back while they are asked for what was missed."""
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()

@@ -1,0 +1,100 @@
+"""`ogm record`: what all robots of a map publish, into an MCAP file, until Ctrl-C."""
+
+import logging
+import math
+import os
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import typer
+import zenoh
+
+from ogm_client.errors import ClientError, NobodyAnswered
+from ogm_client.session import open_session
+from ogm_core.errors import BadInput, DiskFull
+from ogm_core.ros2.mcap_recording import MAP_FRAME, McapWriter
+from ogm_core.whole_files import NO_ROOM
+from ogm_services.recorder.new_file import check_new, new_file
+from ogm_services.recorder.recorder import Recorder
+from ogm_services.ros2.map_fetch import MapFetch
+from ogm_services.runtime.progress import progress_line
+from ogm_services.settings.settings import Settings
+
+LOOK_PERIOD = 0.25
+"""How often is looked whether it goes well, s."""
+
+log = logging.getLogger(__name__)
+
+
+def run_record(settings: Settings, out: Path) -> None:
+    """Record until KeyboardInterrupt; then add the map, if a mapper serves one, and finish the file.
+
+    Raises:
+        BadInput: `out` is there already, or cannot be written; or an extra is missing.
+        CannotConnect: there is no such host.
+        DiskFull: there is no more room; what was written can be read.
+    """
+    check_new(out)
+    map_name = settings.network.map_name
+    with ExitStack() as opening:
+        config = replace(settings.network.for_client(), connect_timeout=math.inf)
+        session = opening.enter_context(open_session(config))
+        file = opening.enter_context(new_file(out))
+        try:
+            writer = McapWriter(file)
+            writer.flush()
+        except OSError as error:
+            raise _ended(out, "nothing", error) from error
+        recorder = Recorder(session, settings, writer)
+        try:
+            with recorder:
+                typer.echo(f"recording map {map_name} into {out}: Ctrl-C ends it")
+                _watch(recorder, file)
+        except KeyboardInterrupt:
+            pass
+        failure, said = recorder.sink.failure, recorder.counted()
+        if failure is None:
+            try:
+                _add_map(writer, session, map_name)
+                writer.finish()
+            except OSError as error:
+                failure = error
+        if failure is not None:
+            raise _ended(out, said, failure) from failure
+    typer.echo(f"{out}: {said}")
+
+
+def _watch(recorder: Recorder, file: BinaryIO) -> None:
+    """Show how it goes, until a message cannot be written."""
+    # Signals may be handed to any thread; Python sees to them when the main thread wakes up.
+    with progress_line() as show:
+        while not threading.Event().wait(LOOK_PERIOD) and recorder.sink.failure is None:
+            show(f"{recorder.counted()}, {os.fstat(file.fileno()).st_size / 1e6:.1f} MB")
+
+
+def _add_map(writer: McapWriter, session: zenoh.Session, map_name: str) -> None:
+    """Add the map as it is now, if there is one to be had; say so if not."""
+    try:
+        grid = MapFetch(session, map_name, MAP_FRAME).trinary()
+    except NobodyAnswered:
+        log.info("no mapper serves map %s, so the recording ends without one", map_name)
+    except ClientError as error:
+        log.warning("the recording ends without the map: %s", error)
+    else:
+        if grid is None:
+            log.info("map %s is empty, so the recording ends without one", map_name)
+        else:
+            writer.map(grid, time.time_ns())
+
+
+def _ended(out: Path, said: str, error: OSError) -> BadInput | DiskFull:
+    """What ends a recording before its time."""
+    kind = DiskFull if error.errno in NO_ROOM else BadInput
+    return kind(
+        f"{out}: cannot be written any more: {error.strerror or error}; {said} came before, and can be read; "
+        f"ogm record --repair {out} makes it a whole file once there is room"
+    )

@@ -1,0 +1,1 @@
+"""The recorder: what robots publish to a map, as a file."""

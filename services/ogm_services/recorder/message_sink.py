@@ -1,0 +1,90 @@
+"""Message sink: takes what a mapper would take, in that order, and writes it into a recording."""
+
+import math
+import time
+from collections.abc import Callable
+
+from ogm_core.placing.receipts import Receipts
+from ogm_core.ros2.mcap_recording import McapWriter
+from ogm_core.types import PoseStamped, Scan
+from ogm_services.mapper.intake.handing_on import Placing
+
+FLUSH_PERIOD = 0.5
+"""How often what was written is made safe from a kill, s."""
+
+
+class NothingDecided:
+    """A recorder's past, as a hold asks for it: it has none, so all that robots' caches keep is recorded."""
+
+    def is_decided(self, robot: str, sensor: str | None, run: str, seq: int) -> bool:
+        """No: what was handed on in this life the hold knows itself."""
+        return False
+
+    def last(self, robot: str, sensor: str | None, run: str) -> int | None:
+        """None."""
+        return None
+
+    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
+        """Nothing waits for what will not come."""
+
+    def wait_on(self, robot: str, until: float) -> None:
+        """No scan waits for its poses here."""
+
+
+class MessageSink(Placing):
+    """Stands where a mapper has its scan placer: the worker's thread calls it; any thread reads it."""
+
+    decided = NothingDecided()
+
+    def __init__(
+        self, writer: McapWriter, receipts: Receipts, clock: Callable[[], int] = time.time_ns
+    ) -> None:
+        """`clock` tells when a message came, ns since the Unix epoch."""
+        self._writer, self._receipts, self._clock = writer, receipts, clock
+        self.poses = self.scans = 0
+        """How many were written."""
+        self.failure: OSError | None = None
+        """What has kept one from being written; after that none is."""
+        self._flushed = -math.inf
+
+    def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
+        """Write a robot's pose."""
+        if self._written(lambda: self._writer.pose(name, message, self._clock())):
+            self.poses += 1
+            self._receipts.located(name, message.stamp, message.pose)
+
+    def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
+        """Write a scan."""
+        if self._written(lambda: self._writer.scan(name, sensor, scan, self._clock())):
+            self.scans += 1
+            self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
+            self._receipts.scan_integrated(name, sensor)
+
+    def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
+        """Note that a robot is there."""
+        self._receipts.robot_alive(name, run, True, now)
+
+    def robot_gone(self, name: str, run: str, now: float = 0.0) -> None:
+        """Note that it is there no more."""
+        self._receipts.robot_alive(name, run, False, now)
+
+    def expire(self, now: float) -> None:
+        """Forget robots that are gone for long, so that others can come."""
+        for name in self._receipts.gone(now):
+            self._receipts.forget(name, now)
+
+    def flush(self, now: float | None = None) -> None:
+        """Make safe what was written; with `now`, s, only if that is due."""
+        if now is None or now - self._flushed >= FLUSH_PERIOD:
+            self._written(self._writer.flush)
+            self._flushed = time.monotonic() if now is None else now
+
+    def _written(self, write: Callable[[], None]) -> bool:
+        if self.failure is not None:
+            return False
+        try:
+            write()
+        except OSError as error:
+            self.failure = error
+            return False
+        return True

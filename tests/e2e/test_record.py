@@ -1,0 +1,120 @@
+"""`ogm record`: the file holds what the mapper had, whatever ends it, and gives the mapper's map."""
+
+import json
+import resource
+import signal
+
+import pytest
+
+from ogm_core.errors import BadRecording
+from ogm_services.ros2.mcap_reader import McapReader
+
+
+def recorder(ogm, endpoint, file="live.mcap"):
+    """A recorder that hears what is published from now on."""
+    command = ogm.start("record", "--connect", endpoint, "-o", file, "--log-level", "warning")
+    command.line(rf"recording map default into {file}: Ctrl-C ends it")
+    return command
+
+
+def scans_in(path):
+    """Seqs of the scans that can be read, by robot, and whether the file is whole."""
+    seqs = {}
+    with McapReader(path) as reader:
+        try:
+            for each in reader:
+                if hasattr(each, "sensor"):
+                    seqs.setdefault(each.robot, []).append(each.message.seq)
+        except BadRecording:  # as long as there is no scan
+            pass
+        return seqs, not reader.doubt
+
+
+def test_a_recording_gives_the_live_map_built_and_replayed(ogm, lab_recording, assert_equal_maps):
+    """Of one robot value for value; it ends with the map, and with exit code 0."""
+    mapper = ogm.ready(ogm.mapper())
+    command = recorder(ogm, mapper.endpoint)
+    assert ogm.run("replay", lab_recording, "--connect", mapper.endpoint, "--speed", "max").code == 0
+    live = mapper.map()
+    ended = command.stop(signal.SIGINT)
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out.endswith("live.mcap: 220 scans and 220 poses of robot1\n")
+    assert ogm.call("build", "live.mcap", "--out", "built").code == 0
+    assert_equal_maps(ogm.map("built/map.npz"), live)
+    again = ogm.ready(ogm.mapper())
+    replayed = ogm.run("replay", "live.mcap", "--connect", again.endpoint, "--speed", "max")
+    assert (replayed.code, replayed.out) == (0, "live.mcap: 220 scans sent, 220 integrated\n")
+    assert_equal_maps(again.map(), live)
+    found = json.loads(ogm.call("info", "live.mcap", "--json").out)
+    topics = {topic["name"]: topic["messages"] for topic in found["topics"]}
+    assert (topics["/map"], topics["/robot1/laser"], topics["/tf"]) == (1, 220, 440)
+    refused = ogm.run("record", "--connect", mapper.endpoint, "-o", "live.mcap")
+    assert "live.mcap: is there already" in refused.complaint(2)
+
+
+def test_of_several_robots_it_holds_the_scans_that_the_mapper_had(ogm):
+    """The mapper ends first: its map is not to be had, and that is said."""
+    mapper = ogm.ready(ogm.mapper())
+    command = ogm.start("record", "--connect", mapper.endpoint, "-o", "a.mcap")
+    command.line("recording map default")
+    flags = "--connect", mapper.endpoint, "--robots", 3, "--scans", 40, "--rate", 40, "--seed", 1
+    assert ogm.run("simulate", *flags).code == 0
+    assert mapper.status()["scans"]["integrated"] == 120
+    assert mapper.command.stop().code == 0
+    ended = command.stop(signal.SIGINT)
+    assert ended.code == 0
+    assert "no mapper serves map default, so the recording ends without one" in ended.err
+    assert ended.out.endswith("a.mcap: 120 scans and 120 poses of robot1, robot2, robot3\n")
+    seqs, whole = scans_in(ogm.folder / "a.mcap")
+    assert whole
+    assert seqs == {f"robot{n}": list(range(40)) for n in (1, 2, 3)}
+
+
+@pytest.mark.usefixtures("listener")
+def test_what_is_killed_has_recorded_up_to_then_and_is_repaired(ogm, endpoint, eventually):
+    robots = ogm.start("simulate", "--connect", endpoint, "--robots", 2, "--seed", 1)
+    for n in range(2):
+        path = ogm.folder / f"killed{n}.mcap"
+        command = recorder(ogm, endpoint, path.name)
+
+        def enough(path=path, n=n):
+            found = scans_in(path)[0]
+            return len(found) == 2 and min(map(len, found.values())) > 10 * (n + 1) and found
+
+        seen = eventually(enough)
+        command.process.kill()
+        command.process.wait()
+        seqs, whole = scans_in(path)
+        assert not whole
+        for robot, found in seqs.items():
+            assert found[: len(seen[robot])] == seen[robot]
+            assert found == list(range(found[0], found[0] + len(found)))
+        said = ogm.call("record", "--repair", path.name)
+        count = sum(map(len, seqs.values()))
+        assert said.code == 0
+        assert f"({count} scans and " in said.out
+        assert scans_in(path) == (seqs, True)
+    assert robots.stop().code == 0
+
+
+@pytest.mark.usefixtures("listener")
+def test_a_full_disk_ends_it_in_one_line(ogm, endpoint):
+    command = recorder(ogm, endpoint)
+    resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (350_000, resource.RLIM_INFINITY))
+    robots = ogm.start("simulate", "--connect", endpoint, "--robots", 2, "--seed", 1, "--rate", 100)
+    ended = command.wait()
+    assert robots.stop().code == 0
+    assert ended.code == 1
+    assert ended.warnings.startswith("ogm: live.mcap: cannot be written any more: File too large; ")
+    assert ended.warnings.count("\n") == 1
+    seqs, whole = scans_in(ogm.folder / "live.mcap")
+    assert not whole
+    assert len(seqs["robot1"]) > 20
+    assert f"({sum(map(len, seqs.values()))} scans and" in ogm.call("record", "--repair", "live.mcap").out
+
+
+def test_it_waits_for_a_network_and_ends_well_without_one(ogm, endpoint):
+    command = ogm.start("record", "--connect", endpoint, "-o", "a.mcap")
+    command.complains("waiting for")
+    assert command.stop(signal.SIGINT).code == 0
+    assert not (ogm.folder / "a.mcap").exists()
