@@ -20,4 +20,5 @@ def read(asked):
     return {"values": told(message)}
 
 
-answer(read)
+if __name__ == "__main__":
+    answer(read)
