@@ -60,9 +60,9 @@ def recording(request, tmp_path):
 
 def number(value):
     """One that JSON had to write as text: whole numbers stay whole."""
-    return (
-        value if not isinstance(value, str) else int(value) if value.lstrip("-").isdigit() else float(value)
-    )
+    if not isinstance(value, str):
+        return value
+    return int(value) if value.lstrip("-").isdigit() else float(value)
 
 
 def of(told, topic):

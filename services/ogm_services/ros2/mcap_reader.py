@@ -25,6 +25,8 @@ def holds_recording(path: Path) -> bool:
     Raises:
         MissingExtra: it seems to be, and mcap is not installed.
     """
+    if not path.is_file():  # what comes out of a pipe could not be read a second time
+        return False
     try:
         with path.open("rb") as file:
             return is_recording(file)
