@@ -8,7 +8,7 @@ import json
 import re
 import subprocess
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -18,6 +18,8 @@ import zenoh.ext
 
 from ogm_client import CannotConnect, MapClient, MapperError, NobodyAnswered, NotHeard, RobotPublisher
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
+from ogm_core.errors import BadRecording
+from ogm_services.ros2.mcap_reader import McapReader
 
 ROOT = Path(__file__).parents[2]
 CERTIFICATES = re.search(r"```sh\n(mkdir -p certs\n.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
@@ -299,6 +301,40 @@ def test_a_simulator_tells_the_truth_by_two_rules_more(site, ogm, eventually):
     mapper = ogm.ready(ogm.start("mapper", "--http-port", 0, "--zenoh-config", config))
     ogm.start("simulate", "--zenoh-config", site.client("robot1", endpoint=endpoint))
     eventually(lambda: json.loads(mapper.get("quality")).get("truth"), timeout=60.0)
+
+
+def test_a_viewer_records_by_two_rules_more(site, ogm, eventually):
+    """As docs/security.md says: what robots had published before, what they publish, and the map."""
+    rules = re.findall(r"```json5\n(.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
+
+    def with_recorder(text):
+        policy = '{ rules: ["read", "answer"]'
+        assert policy in text
+        return text.replace("    rules: [\n", f"    rules: [\n{rules}", 1).replace(
+            policy, '{ rules: ["read", "answer", "hear", "heard"]'
+        )
+
+    endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
+    config = site.mapper(with_recorder, endpoint)
+    mapper = ogm.ready(ogm.start("mapper", "--http-port", 0, "--zenoh-config", config))
+    with site.robot("robot1", of="robot1", endpoint=endpoint) as robot:
+        robot.wait_for_mapper()
+        for k in range(5):
+            robot.publish_scan([1.0] * 5, **SWEEP, pose=(0.1 * k, 0.0, 0.0))
+        eventually(lambda: mapper.status()["scans"]["integrated"] == 5)
+        client = site.client("viewer", endpoint=endpoint)
+        recorder = ogm.start("record", "-o", "a.mcap", "--zenoh-config", client)
+        recorder.line("recording map default into a.mcap")
+        robot.publish_scan([1.0] * 5, **SWEEP, pose=(0.6, 0.0, 0.0))
+
+        def recorded():
+            with McapReader(ogm.folder / "a.mcap") as recording, suppress(BadRecording):
+                return len(list(recording))
+
+        eventually(lambda: recorded() == 6, timeout=60.0)
+    ended = recorder.stop()
+    assert (ended.code, ended.warnings) == (0, "")
+    assert "a.mcap: 6 scans and 0 poses of robot1" in ended.out
 
 
 def test_a_replay_and_a_simulator_that_are_denied_say_so(site, mapper, module_ogm, lab_recording, unchanged):

@@ -14,6 +14,7 @@ import pytest
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session
+from ogm_services.ros2.mcap_reader import McapReader
 from ogm_services.settings.sources import without_settings
 
 FILES = {"map.png", "map.pgm", "map.yaml", "map.npz", "quality.json"}
@@ -135,6 +136,19 @@ def test_a_map_of_a_log_is_made_to_the_end_without_the_terminal(terminal, tmp_pa
     opened.close()
     assert opened.process.wait(60.0) == 0
     assert written(tmp_path)["scans"] == 220
+
+
+@pytest.mark.usefixtures("listener")
+def test_a_recording_is_finished_without_the_terminal(terminal, ogm, tmp_path, endpoint):
+    opened = terminal("SIG_DFL", "record", "--connect", endpoint, "-o", "a.mcap")
+    opened.shows("(recording map default into a.mcap)")
+    assert ogm.run("simulate", "--scans", 5, "--connect", endpoint).code == 0
+    opened.shows(r"(5 scans and 5 poses of robot1, \d+\.\d MB)")
+    opened.close()
+    assert opened.process.wait(ENDED) == 0
+    with McapReader(tmp_path / "a.mcap") as recording:
+        assert len(list(recording)) == 10
+        assert recording.doubt == ""
 
 
 def test_what_nobody_reads_any_more_is_no_error_on_stderr_and_one_on_stdout():

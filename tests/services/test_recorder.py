@@ -146,7 +146,8 @@ def test_messages_that_are_none_are_counted_and_left_out(tmp_path, listener, net
         session.put(KEYS.scan("bad", "s"), b"no scan", congestion_control=block)
         session.put(KEYS.pose("bad"), b"no pose", congestion_control=block)
         eventually(lambda: recorder.receipts.status().poses.malformed == 1)
-        assert recorder.counted().endswith(", 1 scans dropped: malformed, 1 poses malformed")
+        counts = "3 scans and 2 poses of r, 1 scans dropped: malformed, 1 poses malformed"
+        assert recorder.counted() == counts
     assert read(path) == told("r", drive(2))
 
 

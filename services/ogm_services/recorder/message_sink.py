@@ -43,6 +43,8 @@ class MessageSink(Placing):
         self._writer, self._receipts, self._clock = writer, receipts, clock
         self.poses = self.scans = 0
         """How many were written."""
+        self.robots: set[str] = set()
+        """Whose they are."""
         self.failure: OSError | None = None
         """What has kept one from being written; after that none is."""
         self._flushed = -math.inf
@@ -51,13 +53,13 @@ class MessageSink(Placing):
         """Write a robot's pose."""
         if self._written(lambda: self._writer.pose(name, message, self._clock())):
             self.poses += 1
-            self._receipts.located(name, message.stamp, message.pose)
+            self.robots.add(name)
 
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Write a scan."""
         if self._written(lambda: self._writer.scan(name, sensor, scan, self._clock())):
             self.scans += 1
-            self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
+            self.robots.add(name)
             self._receipts.scan_integrated(name, sensor)
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:

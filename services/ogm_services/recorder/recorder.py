@@ -57,7 +57,7 @@ class Recorder:
     def counted(self) -> str:
         """How much of how many robots was written, and what is missing, in words."""
         counts = self.receipts.status()
-        names = sorted(name for name, robot in counts.robots.items() if robot.age_s is not None or robot.pose)
+        names = sorted(self.sink.robots)
         of = ", ".join(names) if 0 < len(names) <= _NAMED else f"{len(names)} robots"
         parts = [f"{self.sink.scans} scans and {self.sink.poses} poses of {of}"]
         dropped = counts.scans.dropped
