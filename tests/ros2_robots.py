@@ -13,7 +13,10 @@ HASHES = {
     "PointCloud2": "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
     "Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
     "OccupancyGrid": "RIHS01_8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7",
+    "GetMap": "RIHS01_c8ae77c9995b3554b5ba80e4d4d443f970ac65143102a1d893ec24fc07b31147",
 }
+NO_FIELDS = b"\0\1\0\0\0"
+"""A request without a field has one byte."""
 PACKAGES = {
     "LaserScan": "sensor_msgs",
     "TFMessage": "tf2_msgs",
@@ -99,13 +102,43 @@ class RmwZenohRobot:
             subscriber_detection=True,
         )
 
+    def _services_key(self, name):
+        type_hash = "TypeHashNotSupported" if self.old else HASHES["GetMap"]
+        return f"{self.domain}/{name.strip('/')}/nav_msgs::srv::dds_::GetMap_/{type_hash}"
+
+    def call(self, name, seq=1, gid=bytes(range(16))):
+        """Ask a GetMap service: what is replied, and what goes with it; or what is wrong, as a text."""
+        attached = old_attachment(seq, 5, gid) if self.old else struct.pack("<qqB16s", seq, 5, 16, gid)
+        return replies(self.session, self._services_key(name), attached)
+
+    def serves(self, name):
+        """Tell of a GetMap service, without having one."""
+        dds, told = "nav_msgs::srv::dds_::GetMap_", name.replace("/", "%")
+        token = f"{self.head}/{len(self.tokens)}/SS/{self.tail}/{told}/{dds}/{HASHES['GetMap']}/::,10:,:,:,,"
+        self.tokens.append(self._declare(token))
+
+
+def replies(session, key, attached):
+    """What those reply who say that they have all, as rmw_zenoh and the bridge ask."""
+    found = []
+    options = {"target": zenoh.QueryTarget.ALL_COMPLETE, "consolidation": zenoh.ConsolidationMode.NONE}
+    for reply in session.get(key, payload=NO_FIELDS, attachment=attached, timeout=20.0, **options):
+        if reply.ok is None:
+            found.append(reply.err.payload.to_string())
+        else:
+            came = reply.ok.attachment
+            assert str(reply.ok.key_expr) == key
+            found.append((reply.ok.payload.to_bytes(), came and came.to_bytes()))
+    return found
+
 
 class BridgeRobot:
     """A zenoh-bridge-ros2dds in front of a robot; all of its keys are in its namespace."""
 
     def __init__(self, session, *, namespace=""):
         self.session, self.namespace = session, namespace
-        self.tokens, self.publishers = [], []
+        self.tokens, self.publishers, self.offered = [], [], set()
+        self.listening = session.liveliness().declare_subscriber("@/*/@ros2_lv/**", self._told, history=True)
 
     def _declare(self, kind, topic, name, qos):
         key = f"{self.namespace}{topic}".strip("/")
@@ -136,6 +169,23 @@ class BridgeRobot:
             take,
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
         )
+
+    def call(self, name):
+        """Ask a GetMap service, if somebody tells of it; the bridge keeps what it knows the request by."""
+        key = f"{self.namespace}{name}".strip("/")
+        if f"SS/{key.replace('/', '§')}/nav_msgs§srv§GetMap" not in self.offered:
+            return []
+        return replies(self.session, key, struct.pack("<Qq", 7, 1))
+
+    def _told(self, sample):
+        offered = str(sample.key_expr).partition("/@ros2_lv/")[2]
+        (self.offered.add if sample.kind == zenoh.SampleKind.PUT else self.offered.discard)(offered)
+
+    def serves(self, name):
+        """Tell of a GetMap service, without having one."""
+        key = f"{self.namespace}{name}".strip("/").replace("/", "§")
+        token = f"@/{self.session.info.zid()}/@ros2_lv/SS/{key}/nav_msgs§srv§GetMap"
+        self.tokens.append(self.session.liveliness().declare_token(token))
 
 
 def session_matching(session, key):

@@ -12,6 +12,7 @@ TOKENS = "@/*/@ros2_lv/**"
 """The key expression of all tokens. Zenoh matches nothing that begins with @ by chance."""
 _SLASH = "\u00a7"
 _TOKEN = re.compile(r"@/[0-9a-f]+/@ros2_lv/(MP|MS)/([^/]+)/([^/]+)/([^/]*)")
+_SERVICE = re.compile(r"@/[0-9a-f]+/@ros2_lv/SS/([^/]+)/([^/]+)")
 _TYPE = re.compile(r"[A-Za-z0-9_]+/(?:msg|srv|action)/[A-Za-z0-9_]+")
 _QOS = re.compile(r"K?:(?P<reliable>\d?):(?P<durable>\d?):(?P<all>\d?),?(?P<depth>-?\d{1,9}|)(?P<rest>:.*)?")
 _HASH = re.compile(r":typehash=(RIHS01_[0-9a-f]{64});")
@@ -20,6 +21,12 @@ _HASH = re.compile(r":typehash=(RIHS01_[0-9a-f]{64});")
 def data_key(name: str) -> str:
     """Where the bridge puts, and takes, messages of a topic."""
     return name.removeprefix("/")
+
+
+def service_token(zid: str, name: str, service_type: str) -> str:
+    """The token of who offers a service, without which bridges tell their robots nothing of it."""
+    told, of = (text.replace("/", _SLASH) for text in (data_key(name), service_type))
+    return f"@/{zid}/@ros2_lv/SS/{told}/{of}"
 
 
 def read_token(token: str) -> Topic | None:
@@ -45,3 +52,12 @@ def read_token(token: str) -> Topic | None:
         ),
         publisher=kind == "MP",
     )
+
+
+def read_service_token(token: str) -> Topic | None:
+    """The service that a token of who offers it tells of, without a node; None for all others."""
+    match = _SERVICE.fullmatch(token)
+    if match is None:
+        return None
+    name, service_type = (text.replace(_SLASH, "/") for text in match.groups())
+    return Topic("bridge", f"/{name}", service_type)

@@ -5,6 +5,7 @@ subscriber; in it a name's slashes are `%`, and a quality of service that is the
 """
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ogm_core.errors import MissingExtra
@@ -52,19 +53,28 @@ def topic_token(topic: Topic, entity: Entity) -> str:
     Raises:
         ValueError: the topic has no domain.
     """
-    if topic.domain is None:
-        raise ValueError("rmw_zenoh's topics are in a domain")
-    namespace, _, node = topic.node.rpartition("/")
-    kind = "MP" if topic.publisher else "MS"
-    ends = f"{TOKENS}/{topic.domain}/{entity.zid}/{entity.node}/{entity.number}/{kind}"
-    names = f"%/{_mangled(namespace)}/{node}/{_mangled(topic.name)}"
-    return f"{ends}/{names}/{dds_type(topic.type)}/{topic.type_hash or NO_HASH}/{_qos_text(topic.qos)}"
+    return _end_token(topic, entity, "MP" if topic.publisher else "MS")
+
+
+def service_token(service: Topic, entity: Entity) -> str:
+    """The token of who offers a service, which is told of as a topic; raises as `topic_token`."""
+    return _end_token(service, entity, "SS")
 
 
 def read_token(token: str) -> Topic | None:
     """The topic that a token tells of; None for nodes, services, and what is no token."""
+    return _read(token, _KINDS)
+
+
+def read_service_token(token: str) -> Topic | None:
+    """The service that a token of who offers it tells of; None for all others."""
+    return _read(token, {"SS": True})
+
+
+def _read(token: str, kinds: Mapping[str, bool]) -> Topic | None:
+    """What a token of one of the kinds tells; `kinds` says whether one publishes."""
     parts = token.split("/")
-    if len(parts) < _LEAST_PARTS or parts[0] != TOKENS or parts[5] not in _KINDS:
+    if len(parts) < _LEAST_PARTS or parts[0] != TOKENS or parts[5] not in kinds:
         return None
     domain, namespace, node, name = parts[1], _unmangled(parts[7]), parts[8], _unmangled(parts[9])
     message_type, qos = ros_type(parts[10]), _read_qos(parts[12])
@@ -80,7 +90,7 @@ def read_token(token: str) -> Topic | None:
         qos=qos,
         node=f"{namespace.rstrip('/')}/{node}",
         domain=int(domain),
-        publisher=_KINDS[parts[5]],
+        publisher=kinds[parts[5]],
     )
 
 
@@ -97,6 +107,26 @@ def gid(token: str) -> bytes:
 def attachment(seq: int, stamp: int, publisher: bytes) -> bytes:
     """What goes with a message: its number, from 1 on, the time (ns), and the gid of its publisher."""
     return _ATTACHMENT.pack(seq, stamp, _GID_BYTES, publisher)
+
+
+def reply_attachment(request: bytes, stamp: int) -> bytes:
+    """What goes with a reply: what came with the request, by which it is known, and the time (ns).
+
+    With a request of before April 2025 another form came, which goes back as it is.
+    """
+    if len(request) != _ATTACHMENT.size:
+        return request
+    seq, _, _, client = _ATTACHMENT.unpack(request)
+    return attachment(seq, stamp, client)
+
+
+def _end_token(topic: Topic, entity: Entity, kind: str) -> str:
+    if topic.domain is None:
+        raise ValueError("rmw_zenoh's topics are in a domain")
+    namespace, _, node = topic.node.rpartition("/")
+    ends = f"{TOKENS}/{topic.domain}/{entity.zid}/{entity.node}/{entity.number}/{kind}"
+    names = f"%/{_mangled(namespace)}/{node}/{_mangled(topic.name)}"
+    return f"{ends}/{names}/{dds_type(topic.type)}/{topic.type_hash or NO_HASH}/{_qos_text(topic.qos)}"
 
 
 def _mangled(name: str) -> str:

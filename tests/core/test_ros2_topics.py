@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from ogm_core.errors import BadSetting
-from ogm_core.ros2 import bridge_names, cdr, rmw_zenoh_names
+from ogm_core.ros2 import bridge_names, cdr, rmw_zenoh_names, services
 from ogm_core.ros2.rmw_zenoh_names import Entity
 from ogm_core.ros2.topics import TYPE_HASHES, Qos, Topic, check_topic, dds_type, ros_type
 
@@ -160,3 +160,37 @@ def test_names():
     for wrong in ("map", "/", "/map/", "/a//b", "/2d", "/a b", "/a%b"):
         with pytest.raises(BadSetting, match="--publish-map: a topic's full name"):
             check_topic(wrong, "--publish-map")
+
+
+def test_tokens_of_services():
+    service = Topic(
+        "rmw_zenoh", "/ogm/get_map", services.GET_MAP, services.GET_MAP_HASH, services.QOS, "/ogm", 3
+    )
+    token = rmw_zenoh_names.service_token(service, Entity("ab12", 0, 7))
+    assert token == (
+        f"@ros2_lv/3/ab12/0/7/SS/%/%/ogm/%ogm%get_map/nav_msgs::srv::dds_::GetMap_/{services.GET_MAP_HASH}"
+        "/::,10:,:,:,,"
+    )
+    assert rmw_zenoh_names.read_service_token(token) == service
+    assert rmw_zenoh_names.read_token(token) is None
+    assert rmw_zenoh_names.read_service_token(token.replace("/SS/", "/SC/")) is None
+    assert rmw_zenoh_names.read_service_token(TALKER) is None
+    token = bridge_names.service_token("ab12", "/ogm/get_map", services.GET_MAP)
+    assert token == "@/ab12/@ros2_lv/SS/ogm§get_map/nav_msgs§srv§GetMap"
+    assert bridge_names.read_service_token(token) == Topic("bridge", "/ogm/get_map", services.GET_MAP)
+    assert bridge_names.read_token(token) is None
+    assert bridge_names.read_service_token("@/ab12/@ros2_lv/SC/ogm§get_map/nav_msgs§srv§GetMap") is None
+
+
+def test_what_goes_with_a_reply_is_what_came_with_the_request_and_the_time():
+    asked = rmw_zenoh_names.attachment(2**40, 5, bytes(range(16)))
+    assert rmw_zenoh_names.reply_attachment(asked, 99) == rmw_zenoh_names.attachment(
+        2**40, 99, bytes(range(16))
+    )
+    of_before = b"\x0fsequence_number" + bytes(8)
+    assert rmw_zenoh_names.reply_attachment(of_before, 99) == of_before
+
+
+def test_the_service_of_a_topic_is_beside_it():
+    names = {"/ogm/map": "/ogm/get_map", "/map": "/get_map", "/r1/ogm/map": "/r1/ogm/get_map"}
+    assert {topic: services.get_map_service(topic) for topic in names} == names

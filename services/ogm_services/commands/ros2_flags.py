@@ -181,7 +181,8 @@ class PublishFlags:
         str | None,
         typer.Option(
             metavar="TOPIC",
-            help="Publish the map as an OccupancyGrid, as on /ogm/map, and its changes on TOPIC_updates.",
+            help="Publish the map as an OccupancyGrid, as on /ogm/map, and its changes on TOPIC_updates; "
+            "over Zenoh also answer nav_msgs/GetMap beside it, as /ogm/get_map.",
             rich_help_panel=_PUBLISHED,
         ),
     ] = None

@@ -4,7 +4,8 @@ import zenoh
 
 from ogm_core.ros2 import bridge_names
 from ogm_core.ros2.topics import Form, Topic
-from ogm_services.ros2.topic_source import Take
+from ogm_services.ros2.topic_source import Take, TakeRequest
+from ogm_services.ros2.zenoh_service import ZenohService
 from ogm_services.ros2.zenoh_subscription import ZenohSubscription, latched_publisher
 from ogm_services.ros2.zenoh_tokens import ZenohTokens
 
@@ -19,7 +20,9 @@ class BridgeSource:
         """`session` stays open; `where`: how it is called, in words."""
         self.where = f"zenoh-bridge-ros2dds {where}"
         self._session = session
-        self._tokens = ZenohTokens(session, bridge_names.TOKENS, bridge_names.read_token)
+        self._tokens = ZenohTokens(
+            session, bridge_names.TOKENS, bridge_names.read_token, bridge_names.read_service_token
+        )
 
     def topics(self) -> list[Topic]:
         """Publishers and subscribers that are known by now."""
@@ -33,6 +36,16 @@ class BridgeSource:
     def publish_latched(self, name: str, message_type: str) -> "BridgeLatched":
         """Publish on a topic; the bridge asks for its type, and tells it."""
         return BridgeLatched(self._session, bridge_names.data_key(name))
+
+    def serve(self, name: str, service_type: str, take: TakeRequest) -> ZenohService:
+        """Offer a service; the bridge keeps to itself what its clients know their requests by."""
+        token = bridge_names.service_token(str(self._session.info.zid()), name, service_type)
+        self._tokens.ours(token)
+        return ZenohService(self._session, bridge_names.data_key(name), token, take)
+
+    def server_of(self, name: str) -> str | None:
+        """A node behind a bridge that offers a service of that name by now; bridges tell no names."""
+        return None if self._tokens.server_of(name) is None else "a node behind a bridge"
 
     def close(self) -> None:
         """Withdraw; the session stays open."""

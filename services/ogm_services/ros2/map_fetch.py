@@ -81,13 +81,22 @@ class MapFetch:
 
     def probabilities(self) -> OccupancyGrid | None:
         """The map: how likely a cell is occupied, 0 to 100, or -1 where unknown; raises as `trinary`."""
+        said, cells = self._json()
+        return self._grid(said, cells) if cells.size else None
+
+    def without_cells(self) -> OccupancyGrid:
+        """What there is to say of a map without a known cell; raises as `trinary`."""
+        said, cells = self._json()
+        return self._grid(said, cells[:0, :0])
+
+    def _json(self) -> tuple[Mapping[str, Any], NDArray[np.int8]]:
         payload = self._transport.fetch("map.json", {})
         try:
             said = orjson.loads(payload)
             cells = np.array(said["data"], np.int8).reshape(said["height"], said["width"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise BadReply("map.json: data, width and height are needed") from error
-        return self._grid(said, cells) if cells.size else None
+        return said, cells
 
     def _grid(self, said: Mapping[str, Any], cells: NDArray[np.int8]) -> OccupancyGrid:
         try:

@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,9 @@ from ogm_core.ros2.cdr import (
     encode_occupancy_grid_update,
 )
 from ogm_core.ros2.occupancy_grid import same_extents, update_of
+from ogm_core.ros2.services import get_map_service
 from ogm_services.ros2.map_fetch import MapFetch, MapVersion
+from ogm_services.ros2.map_service import MapService
 from ogm_services.ros2.topic_source import Latched, TopicSource
 from ogm_services.runtime.limited_log import LimitedLog
 
@@ -121,7 +124,10 @@ class MapPublisher:
         trinary: str | None,
         probabilities: str | None,
     ) -> None:
-        """`trinary`, `probabilities`: the topics of either map; None: not published."""
+        """`trinary`, `probabilities`: the topics of either map; None: not published.
+
+        Beside the first there is a service that gives the map: `get_map_service`.
+        """
         self._sources = tuple(sources)
         self._fetch = fetch
         self._names = {"trinary": trinary, "probabilities": probabilities}
@@ -158,11 +164,13 @@ class MapPublisher:
         topics = {kind: MapTopic(name, self._sources) for kind, name in self._names.items() if name}
         for topic in topics.values():
             log.info("publishing the map on %s and %s", topic.name, updates_topic(topic.name))
-        try:
-            self._publish(topics)
-        finally:
+        with ExitStack() as opened:
             for topic in topics.values():
-                topic.close()
+                opened.callback(topic.close)
+            if self._names["trinary"] is not None:
+                name = get_map_service(self._names["trinary"])
+                opened.callback(MapService(name, self._sources, self._fetch).close)
+            self._publish(topics)
 
     def _publish(self, topics: dict[str, MapTopic]) -> None:
         seen: MapVersion | None = None

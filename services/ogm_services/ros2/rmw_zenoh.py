@@ -6,10 +6,11 @@ import time
 
 import zenoh
 
-from ogm_core.ros2 import cdr, rmw_zenoh_names
+from ogm_core.ros2 import cdr, rmw_zenoh_names, services
 from ogm_core.ros2.rmw_zenoh_names import Entity
 from ogm_core.ros2.topics import NO_HASH, TYPE_HASHES, Form, Qos, Topic
-from ogm_services.ros2.topic_source import NODE, Take
+from ogm_services.ros2.topic_source import NODE, Take, TakeRequest
+from ogm_services.ros2.zenoh_service import ZenohService
 from ogm_services.ros2.zenoh_subscription import ZenohSubscription, latched_publisher
 from ogm_services.ros2.zenoh_tokens import ZenohTokens
 
@@ -28,7 +29,12 @@ class RmwZenohSource:
         self._session = session
         self._zid = str(session.info.zid())
         self._entities = itertools.count(1)
-        self._tokens = ZenohTokens(session, rmw_zenoh_names.tokens_of(domain), rmw_zenoh_names.read_token)
+        self._tokens = ZenohTokens(
+            session,
+            rmw_zenoh_names.tokens_of(domain),
+            rmw_zenoh_names.read_token,
+            rmw_zenoh_names.read_service_token,
+        )
         self._node: zenoh.LivelinessToken | None = None
 
     def topics(self) -> list[Topic]:
@@ -45,6 +51,22 @@ class RmwZenohSource:
     def publish_latched(self, name: str, message_type: str) -> "RmwZenohLatched":
         """Publish on a topic, for each hash of its type that somebody who subscribes asks for."""
         return RmwZenohLatched(self, name, message_type)
+
+    def serve(self, name: str, service_type: str, take: TakeRequest) -> ZenohService:
+        """Offer a service, whichever hash of its type who asks believes in."""
+        self._declare_node()
+        service = Topic(
+            "rmw_zenoh", name, service_type, services.GET_MAP_HASH, services.QOS, NODE, self._domain
+        )
+        token = rmw_zenoh_names.service_token(service, Entity(self._zid, 0, next(self._entities)))
+        self._tokens.ours(token)
+        key = rmw_zenoh_names.data_key(self._domain, name, service_type)
+        return ZenohService(self._session, key, token, take, _attached)
+
+    def server_of(self, name: str) -> str | None:
+        """The node that offers a service of that name by now."""
+        told = self._tokens.server_of(name)
+        return None if told is None else told.node
 
     def close(self) -> None:
         """Withdraw; the session stays open."""
@@ -63,15 +85,17 @@ class RmwZenohSource:
 
     def declare(self, name: str, message_type: str, type_hash: str) -> "_Publisher":
         """A publisher of one hash, with the tokens that tell ROS 2 of it."""
-        alive = self._session.liveliness()
-        if self._node is None:
-            node = rmw_zenoh_names.node_token(self._domain, Entity(self._zid, 0, 0), NODE)
-            self._node = alive.declare_token(node)
+        self._declare_node()
         topic = Topic("rmw_zenoh", name, message_type, type_hash, _LATCHED, NODE, self._domain)
         token = rmw_zenoh_names.topic_token(topic, Entity(self._zid, 0, next(self._entities)))
         self._tokens.ours(token)
         key = rmw_zenoh_names.data_key(self._domain, name, message_type, type_hash or NO_HASH)
         return _Publisher(self._session, key, token)
+
+    def _declare_node(self) -> None:
+        if self._node is None:
+            node = rmw_zenoh_names.node_token(self._domain, Entity(self._zid, 0, 0), NODE)
+            self._node = self._session.liveliness().declare_token(node)
 
     @property
     def _domain(self) -> int:
@@ -134,3 +158,7 @@ class _Publisher:
     def close(self) -> None:
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _attached(request: bytes) -> bytes:
+    return rmw_zenoh_names.reply_attachment(request, time.time_ns())

@@ -4,7 +4,7 @@ What reads messages, keeps transforms and maps knows none of the sources apart.
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ogm_core.ros2.topics import Form, Topic
 
@@ -54,3 +54,33 @@ class TopicSource(Closing, Protocol):
 
     def publish_latched(self, name: str, message_type: str) -> Latched:
         """Publish on a topic: reliable, transient local, the last message kept."""
+
+
+class Request(Protocol):
+    """What somebody asks of a service that we offer; one of the two is called, once, from any thread."""
+
+    def answer(self, payload: bytes) -> None:
+        """Reply with a message's CDR."""
+
+    def refuse(self, why: str) -> None:
+        """Say why there is no reply."""
+
+
+TakeRequest = Callable[[Request], None]
+"""What is called with each request, from any thread; it only hands it on."""
+
+
+@runtime_checkable
+class ServiceSource(TopicSource, Protocol):
+    """A source on which services can be offered, too: over Zenoh.
+
+    On DDS they cannot. Replies to Fast DDS, the default of ROS 2, are known by what Cyclone DDS cannot write
+    beside a message; those to rmw_cyclonedds have 16 bytes before the fields, which its types, as it tells
+    them from 2025 on, do not have: cyclonedds writes no such sample, or is not heard.
+    """
+
+    def serve(self, name: str, service_type: str, take: TakeRequest) -> Closing:
+        """Offer a service, whose requests have no field that is read."""
+
+    def server_of(self, name: str) -> str | None:
+        """Who offers a service of that name by now, in words; None: nobody."""

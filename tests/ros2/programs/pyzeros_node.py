@@ -4,6 +4,7 @@ Its arguments are its name, the domain and the endpoint of the router. It knows 
 to put are read, and written anew, by its own CDR: scans by `cydr`, all else by `cyclone`.
 """
 
+import asyncio
 import sys
 from dataclasses import dataclass, field, fields, is_dataclass
 
@@ -18,6 +19,7 @@ from pyzeros.utils import rmw_zenoh_gid
 from ros2_pyterfaces.cyclone.all_msgs import OccupancyGrid, TransformStamped
 from ros2_pyterfaces.cyclone.idl import IdlStruct
 from ros2_pyterfaces.cydr.all_msgs import LaserScan
+from ros2_pyterfaces.cydr.all_srvs import GetMap
 
 
 @dataclass
@@ -54,6 +56,22 @@ class Ends:
 
         self.found[topic] = found, RawSub(kind, topic, take, session=self.node, scope=None)
 
+    def call(self, asked):
+        """Ask a GetMap service, once there is one."""
+
+        async def called():
+            client = pyzeros.Client(GetMap, asked["call"], session=self.node, scope=None)
+            try:
+                await client.wait_for_service()
+                return await client.call_async(GetMap.Request())
+            finally:
+                client.undeclare()
+
+        try:
+            return {"values": cydr_told(asyncio.run(called()).map)}
+        except RuntimeError as error:
+            return {"error": str(error)}
+
     def take(self, asked):
         return {"values": [told(message) for message, _ in self.found[asked["take"]][0]]}
 
@@ -69,6 +87,13 @@ def told(value):
     if is_dataclass(value):
         return {each.name: told(getattr(value, each.name)) for each in fields(value)}
     return value if isinstance(value, (str, int, float)) else list(value)
+
+
+def cydr_told(value):
+    if hasattr(value, "__struct_fields__"):
+        return {name: cydr_told(getattr(value, name)) for name in value.__struct_fields__}
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def main():

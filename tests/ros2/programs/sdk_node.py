@@ -45,6 +45,14 @@ class Ends:
             ROS2Subscriber(topic=asked["subscribe"], **options, **self.where),
         )
 
+    def call(self, asked):
+        """Ask a GetMap service, which it does not wait for; it finds no type without a package."""
+        defined = {"request_definition": "# no field", "response_definition": "nav_msgs/OccupancyGrid map"}
+        client = ROS2ServiceClient(asked["call"], "nav_msgs/srv/GetMap", **defined, **self.where)
+        client.session_mgr.register_message_type(None, "nav_msgs/msg/OccupancyGrid")
+        reply = client.call()
+        return {"values": told(reply.map)} if reply else {"error": "no reply"}
+
     def take(self, asked):
         return {"values": [told(message) for message in self.found[asked["take"]][0]]}
 
@@ -73,7 +81,7 @@ os.environ["ZENOH_CONFIG_OVERRIDE"] = (
     f'mode="client";connect/endpoints=["tcp/127.0.0.1:{port}"];listen/endpoints=[];scouting/multicast/enabled=false'
 )
 
-from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber  # noqa: E402 - it reads the variable
+from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2Subscriber  # noqa: E402 - it reads the variable
 from zenoh_ros2_sdk.discovery import get_topic_info  # noqa: E402
 from zenoh_ros2_sdk.message_registry import get_registry  # noqa: E402
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile  # noqa: E402
