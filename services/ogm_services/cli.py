@@ -15,6 +15,7 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
+from ogm_services.commands.erase import erase
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
@@ -430,5 +431,6 @@ def repair(
         run_repair(folder, out)
 
 
+app.command()(erase)
 app.command()(ros2)
 app.command()(record)

@@ -45,6 +45,7 @@ FLAGS = {
         f"snapshot {write}": "--json --token-file --url --map --zenoh-config --config"
         for write in ("save", "restore", "delete")
     },
+    "erase": "--region --polygon --json --token-file --url --map --zenoh-config --config",
     "ros2": "--list --json --dds --interface --zenoh --domain --scan-topic --cloud-topic --z-band --bins "
     "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --publish-map "
     f"--publish-probabilities --robot --sensor --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
@@ -233,6 +234,15 @@ def one_line(result, code):
         ("snapshot save a --url http://127.0.0.1:9 --token-file /nowhere", "/nowhere: cannot be read"),
         ("snapshot save a --token-file /nowhere", "--token-file /nowhere: the token is for HTTP alone"),
         ("snapshot list --url nowhere", "nowhere"),
+        ("erase --url http://127.0.0.1:9", "--region or --polygon: one of them is needed"),
+        ("erase --region=0,0,1,1 --polygon 0,0,1,0,1,1", "--region or --polygon: one of them is needed"),
+        ("erase --region 0,0,1", "--region: four numbers XMIN,YMIN,XMAX,YMAX are needed"),
+        ("erase --polygon 0,0,1,0,1", "--polygon: X1,Y1,X2,Y2,... is needed, got 5 numbers"),
+        ("erase --polygon 0,0,1,0,1,1_0", "--polygon: a number is needed, got '1_0'"),
+        (
+            "erase --region=0,0,1,1 --token-file /nowhere",
+            "--token-file /nowhere: the token is for HTTP alone",
+        ),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):

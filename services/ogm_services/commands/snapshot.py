@@ -4,16 +4,13 @@ It imports what it needs when it runs, so that `ogm --help` answers at once.
 """
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ogm_core.errors import BadInput
 from ogm_core.status import SnapshotInfo
+from ogm_services.commands.write_flags import AsJson, WriteFlags
 from ogm_services.settings.flags import (
     ClientFlags,
     ConfigFile,
@@ -29,52 +26,12 @@ if TYPE_CHECKING:
 
 SECONDS = len("2026-01-31 12:00:00")
 """So much of a time fits into a table beside another one."""
-WRITE_TIMEOUT = 60.0
-"""How long a mapper may take to write a map to its disk, s."""
-
 app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Save a running mapper's map under names, and go on with one of them.",
 )
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Of the snapshot: 1 to 64 of A-Z a-z 0-9 _ - .")]
-TokenFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE", help="File with the mapper's token, for HTTP (default: that of the settings, if any)."
-    ),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-
-
-@dataclass(frozen=True)
-class WriteFlags:
-    """Flags of who changes something: at which mapper, with which token, and how it is told."""
-
-    url: Url = None
-    token_file: TokenFile = None
-    config: ConfigFile = None
-    as_json: AsJson = False
-
-    @contextmanager
-    def client(self, network: ClientFlags) -> Iterator["MapClient"]:
-        """A client that may change something, with the mapper's token if there is one."""
-        from ogm_services.commands.mapper_client import asking, is_http, mapper_client
-        from ogm_services.settings.settings import token_in
-
-        settings = settings_from(self.config, network)
-        options: dict[str, Any] = {"timeout": WRITE_TIMEOUT}
-        if is_http(self.url):
-            from_file = None if self.token_file is None else token_in(self.token_file, "--token-file")
-            token = from_file or settings.http.write_token()
-            options["token"] = None if token is None else token.decode("ascii")
-        elif self.token_file is not None:
-            raise BadInput(
-                f"--token-file {self.token_file}: the token is for HTTP alone (--url http://HOST:PORT); over "
-                "Zenoh certificates say who may"
-            )
-        with mapper_client(self.url, settings.network, **options) as client, asking():
-            yield client
 
 
 @app.command("list")
