@@ -150,9 +150,7 @@ class OccupancyGrid:
         )
         self._store = store
         if aging is not None:
-            aging.before_writing(
-                store, updated, lambda: evidence.touch(store, window(store), self.revision + 1)
-            )
+            aging.before_writing(store, updated, self.revision + 1)
         updates = self.model.update(evidence, store, window(store), self.revision + 1)
         self._known = known
         return updates

@@ -1,11 +1,11 @@
 """Aging: cells of tiles as the ticks (see cells.forgetting) leave them that passed since they were written.
 
-A tick touches no tile. A tile's revision tells which ticks it has missed: those of later revisions. They are
-made up for when it is next written, and in the copy of a tile when that is made for a reader. A tile whose
-copy has aged counts as of the revision of the last tick that its copy has.
+A tick touches no tile. The revision that a tile's cells are of tells which ticks they have missed: those of
+later revisions. They are made up for in place when a scan next writes thereabouts, and in the copy of a tile
+that is made for a reader. A tile that has aged is still the same: it is not stored again.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,33 +48,36 @@ class Aging:
                 for name, cells in planes.items():
                     cells[which] = aged[name]
 
-    def age(
-        self, store: TileStore, tx: NDArray[np.intp], ty: NDArray[np.intp], was: NDArray[np.int64]
-    ) -> None:
-        """Let these tiles of a store, which were of the revisions `was` till now, age."""
-        shape = store.touched.shape
-        places = {name: plane.tiles(shape) for name, plane in store.planes.items()}
-        tiles = {name: place[tx, ty] for name, place in places.items()}
-        self.apply(tiles, was)
-        for name, place in places.items():
+    def age(self, store: TileStore, tx: NDArray[np.intp], ty: NDArray[np.intp]) -> None:
+        """Let these tiles of a store age in place."""
+        places = [(name, plane.tiles(store.touched.shape)) for name, plane in store.planes.items()]
+        tiles = {name: place[tx, ty] for name, place in places}
+        self.apply(tiles, store.revisions[tx, ty])
+        for name, place in places:
             place[tx, ty] = tiles[name]
 
-    def before_writing(self, store: TileStore, rect: CellRect, mark: Callable[[], None]) -> None:
-        """Let `mark` mark the tiles that are about to be written, all in `rect`, and those of them age.
+    def before_writing(self, store: TileStore, rect: CellRect, revision: int) -> None:
+        """Let tiles that meet `rect`, in which a scan is about to write as `revision`, age.
 
-        Unless no tile there has missed a tick: then `mark` need not.
+        All of them: to find out, scan by scan, which it will write costs more than to let the others age.
         """
-        left, bottom = (rect.ix - store.rect.ix) // TILE, (rect.iy - store.rect.iy) // TILE
-        right, top = left + rect.width // TILE + 2, bottom + rect.height // TILE + 2
-        touched = store.touched[left:right, bottom:top]
-        was = touched.copy()
-        old = (was > 0) & (was < self.last)
-        if not old.any():
+        last, current = store.current
+        if last == self.last and current.contains(rect):
             return
-        mark()
-        tx, ty = np.nonzero(old & (touched != was))
-        if len(tx):
-            self.age(store, tx + left, ty + bottom, was[tx, ty])
+        left, bottom = (rect.ix - store.rect.ix) // TILE, (rect.iy - store.rect.iy) // TILE
+        width, height = rect.width // TILE + 2, rect.height // TILE + 2
+        here = slice(left, left + width), slice(bottom, bottom + height)
+        old = (store.touched[here] > 0) & (store.touched[here] < self.last)
+        if store.aged is not None:
+            old &= store.aged[here] < self.last
+        if old.any():
+            if store.aged is None:
+                store.aged = np.zeros_like(store.touched)
+            tx, ty = np.nonzero(old)
+            self.age(store, tx + left, ty + bottom)
+            store.aged[here][old] = revision
+        corner = store.rect.ix + left * TILE, store.rect.iy + bottom * TILE
+        store.current = self.last, CellRect(*corner, width * TILE, height * TILE)
 
 
 def aged_revisions(

@@ -160,7 +160,7 @@ def copy_tiles(
         np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
         planes[name] = tiles
     if aging is not None:
-        aging.apply(planes, store.touched.reshape(-1)[which])
+        aging.apply(planes, store.revisions.reshape(-1)[which])
     for tiles in planes.values():
         tiles.flags.writeable = False
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
@@ -177,8 +177,8 @@ def copy_tiles(
 
 
 def uncopied_tiles(store: TileStore, before: TileCopies | None) -> int:
-    """How many tiles were written since the copy `before`."""
-    return int(np.count_nonzero(store.touched > _copied(store, before)))
+    """How many tiles have changed in place since the copy `before`."""
+    return int(np.count_nonzero(store.revisions > _copied(store, before)))
 
 
 def aged_tiles(store: TileStore, before: TileCopies | None, aging: Aging) -> int:
@@ -230,7 +230,7 @@ def _to_copy(
     numbers, copied = before.placed(store.rect), placed(before.copied, before.rect, store.rect)
     # A map that begins with cells says that they are of revision 1 while it is still at 0: they count as
     # written since revision 0, however often they are copied.
-    stale = store.touched > copied
+    stale = store.revisions > copied
     if aging is not None:
         stale |= (store.touched > 0) & (copied < aging.last)
     return numbers, copied, _kept(before.blocks, numbers, stale, giving_up=giving_up), stale

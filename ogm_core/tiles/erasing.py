@@ -35,7 +35,7 @@ def erase(store: TileStore, area: Polygon, part: CellRect, revision: int, aging:
             count = _erase_in_tile(store, (tx, ty), wanted)
             if count:
                 if aging is not None:
-                    aging.age(store, np.array([tx]), np.array([ty]), store.touched[[tx], [ty]])
+                    aging.age(store, np.array([tx]), np.array([ty]))
                 store.touched[tx, ty] = revision
                 erased += count
     return erased

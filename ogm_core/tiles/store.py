@@ -70,6 +70,10 @@ class TileStore:
         self.planes: Mapping[str, StoredPlane] = {plane.name: self._reserve(plane, shape) for plane in planes}
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
+        self.aged: NDArray[np.int64] | None = None
+        """Revision at which each tile last aged in place (see tiles.aging), 0: never; None: none has."""
+        self.current = 0, CellRect(0, 0, 0, 0)
+        """A tick, by its revision, and a rectangle of cells whose tiles have missed none up to that one."""
         self.tiles_used = 0
         self.tile_bytes = tile_bytes(planes)
         """Memory of one tile, all planes together."""
@@ -87,6 +91,11 @@ class TileStore:
             (columns // width) * strip_cells + columns % width,
             plane.side,
         )
+
+    @property
+    def revisions(self) -> NDArray[np.int64]:
+        """Revision that each tile's cells are of: the last that wrote them, or let them age; 0: never."""
+        return self.touched if self.aged is None else np.maximum(self.touched, self.aged)
 
     @property
     def nbytes(self) -> int:
@@ -150,6 +159,9 @@ class TileStore:
         dx, dy = store._tile_of(self)
         width, height = self.touched.shape
         store.touched[dx : dx + width, dy : dy + height] = self.touched
+        if self.aged is not None:
+            store.aged = np.zeros_like(store.touched)
+            store.aged[dx : dx + width, dy : dy + height] = self.aged
         store.tiles_used = self.tiles_used
         return store
 
