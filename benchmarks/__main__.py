@@ -1,7 +1,8 @@
 """`python -m benchmarks`: run the benchmarks, show their table and keep it, the targets in docs, too.
 
 `--quick` takes fewer scans and rounds; its table goes to build/benchmarks, as does that of some benchmarks
-chosen by their names. What a stored map costs stands in docs/stored.md, if it is not measured quickly.
+chosen by their names. What a stored map and tiles cost stands in docs/stored.md and
+docs/tiles.md, if it is not measured quickly.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from docs.variants import with_table
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
-PAGES = {"stored": ROOT / "docs" / "stored.md"}
+PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("stored", "tiles")}
 """Pages with the table of one benchmark, by its name."""
 BENCHMARKS = (
     "integration",
@@ -28,6 +29,7 @@ BENCHMARKS = (
     "latency",
     "pictures",
     "queries",
+    "tiles",
     "http_load",
     "hostile_http",
     "build_speed",
