@@ -34,7 +34,8 @@ class Polygon:
         """
         if not 3 <= len(points) <= MAX_POINTS:
             raise BadParameter(f"polygon: 3 to {MAX_POINTS} points are needed, got {len(points)}")
-        places = lattice.in_cells(np.array(points, np.float64)) - 0.5  # a cell's centre is at its indices
+        with np.errstate(over="ignore", invalid="ignore"):  # what is too far away is refused
+            places = lattice.in_cells(np.array(points, np.float64)) - 0.5  # a cell's centre is at its indices
         if not np.all(np.abs(places) < MAX_INDEX):
             raise BadParameter("polygon: finite numbers are needed, of places that have cells")
         whole = np.round(places)

@@ -180,6 +180,7 @@ def test_a_region_is_the_cells_whose_centre_it_holds():
         ([(0, 0), (1, 1), (float("nan"), 0)], "finite numbers"),
         ([(0, 0), (1, 1), (0, float("inf"))], "finite numbers"),
         ([(0, 0), (1, 1), (0, 1e300)], "places that have cells"),
+        ([(0, 0), (1, 1), (0, -1.7e308)], "places that have cells"),  # more cells than a float counts
     ],
 )
 def test_what_is_no_polygon_is_refused(points, said):

@@ -184,6 +184,25 @@ def test_a_disk_that_is_full_is_told_to_who_saves_and_who_restores(disk, start_m
         assert (found.grid.epoch, found.grid.revision) == (status["epoch"], 3)
 
 
+def test_a_disk_that_is_full_is_told_to_who_erases(disk, start_mapper, eventually):
+    """What is erased is so all the same, and is stored once there is room."""
+    with start_mapper(mapper={"data": str(disk / "map")}) as mapper:
+        mapper.draw_cross()
+        eventually(lambda: mapper.status()["store"]["revision"] == 3)
+        fill(disk)
+        response = mapper.http.post("/erase", params={"region": "0.5,-9,9,9"})
+        problem = response.json()
+        assert (response.status_code, problem["type"]) == (507, "disk-full")
+        assert "the map is erased there, but is not stored yet, which is tried again: " in problem["detail"]
+        assert mapper.status()["revision"] == 4
+        erased = fingerprint(mapper.service.live_map._grid)
+        (disk / "filler").unlink()
+        eventually(lambda: mapper.status()["store"]["revision"] == 4)
+    with MapStore(disk / "map") as store:
+        found = store.restore(mapper.service.parts.grid_settings)
+        assert (fingerprint(found.grid), found.grid.erasures) == (erased, 1)
+
+
 def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventually, caplog):
     story = Story(None, grid_of())
     settings = story.grid.settings
