@@ -8,8 +8,10 @@ import signal
 import threading
 
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 import naive_cdr
+from ogm_client import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
 from ros2_robots import RmwZenohRobot
 
@@ -92,6 +94,32 @@ def test_a_map_is_not_published_on_another_nodes_topic(ogm, robot, endpoint):
         f"ogm: /map: /cart/driver publishes it already (rmw_zenoh at {endpoint}, domain 0), as who gives map "
         "-> odom usually does; publish on another topic, such as /ogm/map\n"
     )
+
+
+def test_a_node_asks_for_the_map_as_it_is_then(ogm, listener, endpoint, eventually):
+    """With GetMap, beside the topic; `ogm erase` is seen at once."""
+    mapper = ogm.ready(ogm.mapper())
+    with RobotPublisher("box", address=mapper.endpoint, reliable=True) as box:
+        looks = {"angle_min": -3.0, "angle_increment": 0.01, "range_min": 0.1, "range_max": 10.0}
+        box.publish_scan([2.0] * 600, **looks, pose=(0.0, 0.0, 0.0))
+        eventually(lambda: mapper.status()["revision"] == 1)
+    ogm.start("ros2", "--zenoh", endpoint, "--connect", mapper.endpoint, "--publish-map", "/ogm/map")
+    with open_session(NetworkConfig(connect=(endpoint,))) as session:
+        saver = RmwZenohRobot(session, node="saver")
+        eventually(lambda: saver.call("/ogm/get_map"))
+        known = []
+        for erased in (False, True):
+            if erased:
+                area = ("erase", "--region=0.5,-1,1.5,1", "--url", mapper.endpoint)
+                assert ogm.run(*area).out.endswith(" cells erased\n")
+            ((payload, _),) = saver.call("/ogm/get_map")
+            grid = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(payload, "nav_msgs/msg/OccupancyGrid")
+            said = json.loads(mapper.get("map.json?values=trinary"))
+            assert grid.data.tolist() == said["data"]
+            assert (grid.info.width, grid.info.height) == (said["width"], said["height"])
+            assert (grid.info.origin.position.x, grid.header.frame_id) == (said["origin"]["x"], "map")
+            known.append(sum(cell >= 0 for cell in said["data"]))
+        assert 200 < known[1] < known[0] - 200
 
 
 def test_topics_on_dds_are_listed_with_interface_and_domain(ogm):
