@@ -27,7 +27,7 @@ def of_recording(file: Path) -> dict[str, Any]:
                 if isinstance(each, RecordedScan):
                     frames[sensor_frame(each.robot, each.sensor)] = {"parent": base, "static": False}
         topics = [
-            {"name": name, "type": kind, "messages": count}
+            {"name": name, "type": kind, "messages": count, "encoding": "cdr"}
             for (name, kind), count in sorted(reader.topics.items())
         ]
         return {
