@@ -33,9 +33,12 @@ from ogm_core.files.ros_map_writer import write_pgm
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.logs.recordings import RecordingReader
+from ogm_core.ros2.mcap_recording import McapWriter
 from ogm_core.simulation.catalogue import world_named
-from ogm_core.types import Pose, Scan
+from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.mapper.live.start_map import started_grid
+from ogm_services.recorder.repair import repair_recording
+from ogm_services.ros2.mcap_reader import McapReader, holds_recording
 from ogm_services.settings.settings import Settings
 
 MEMORY = 3 * 1024**3
@@ -126,6 +129,25 @@ def _graph() -> bytes:
     return "\n".join(lines).encode()
 
 
+def _mcap() -> bytes:
+    file = io.BytesIO()
+    writer = McapWriter(file)
+    for k in range(20):
+        writer.pose("r1", PoseStamped(k, Pose(0.1, 0.5, 0.1), k, "a"), k)
+        writer.scan("r1", "laser", Scan(k, -1.5, 0.5, 0.1, 8.0, np.ones(9, np.float32), seq=k, run="a"), k)
+        if k % 5 == 0:
+            writer.flush()
+    writer.finish()
+    return file.getvalue()
+
+
+def _read_mcap(path: Path) -> None:
+    holds_recording(path)
+    with McapReader(path) as reader:
+        for _ in reader:
+            pass
+
+
 def _grid() -> OccupancyGrid:
     grid = OccupancyGrid(GridSettings(), "epoch")
     ranges = np.linspace(1.0, 3.0, 180).astype(np.float32)
@@ -168,6 +190,8 @@ def readers() -> dict[str, Reader]:
         "CARMEN, packed": Reader({"a.clf.gz": gzip.compress(carmen)}, _read_log),
         "CARMEN, odometry": Reader({"a.log": carmen}, lambda path: _read_log(path, odometry=True)),
         "g2o": Reader({"a.g2o": _graph()}, _read_log),
+        "MCAP recording": Reader({"a.mcap": _mcap()}, _read_mcap),
+        "MCAP recording, repaired": Reader({"a.mcap": _mcap()}, repair_recording),
     }
 
 

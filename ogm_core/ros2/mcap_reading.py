@@ -78,14 +78,15 @@ class McapRecords:
         BadRecording: a part of it is damaged.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, size: int | None = None) -> None:
+        """`size`: no more of it is read, bytes; None: all."""
         self._file = file
         self._mcap = mcap_package()
         self.whole = False
         """Whether its end was reached."""
         self.read = 0
         """Bytes of the file that were read whole."""
-        self.size = file.seek(0, 2)
+        self.size = file.seek(0, 2) if size is None else size
         self._finished = is_whole(file)
 
     def __iter__(self) -> Iterator[McapMessage]:
@@ -127,6 +128,8 @@ class McapRecords:
                 if at_end and not self._finished:
                     return
                 raise BadRecording(f"what follows byte {self.read} is damaged ({_said(error)})") from error
+            if self._file.tell() > self.size:
+                return
             self.read = self._file.tell()
             yield record
 

@@ -124,6 +124,25 @@ def test_one_that_was_cut_is_read_as_far_as_it_goes_and_that_is_told(tmp_path, c
     assert found["messages"] == {"r/pose": count, "r/s": count}
 
 
+def test_one_that_is_being_recorded_is_the_same_in_every_pass(tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.scan("r", "s", scan(0), 0)
+        writer.flush()
+        reader = log_reader(path, ReadAs(), Settings())
+        for n in range(1, 3):
+            with reader() as messages:
+                assert [each.message.stamp for each in messages] == [0]
+            writer.scan("r", "s", scan(n), n)
+            writer.flush()
+        writer.finish()
+    with reader() as messages:
+        assert len(list(messages)) == 1
+    with log_reader(path, ReadAs(), Settings())() as messages:
+        assert len(list(messages)) == 3
+
+
 def test_one_that_is_damaged_or_holds_no_scan_is_refused(tmp_path):
     path = tmp_path / "a.mcap"
     write_mcap(path, [RecordedPose("r", PoseStamped(1, Pose(0.0, 0.0, 0.0)))])

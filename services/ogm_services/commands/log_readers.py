@@ -94,7 +94,10 @@ def log_reader(
     if recording:
         if read_as.odometry:
             raise BadRecording(f"{log}: --odometry is for CARMEN logs; a recording has the poses it has")
-        return lambda: McapReader(log, range_max=read_as.range_max, robot=read_as.robot, max_beams=max_beams)
+        size = log.stat().st_size  # of one that is being recorded each pass reads the same
+        return lambda: McapReader(
+            log, range_max=read_as.range_max, robot=read_as.robot, max_beams=max_beams, size=size
+        )
     return lambda: RecordingReader(
         log,
         range_max=read_as.range_max,

@@ -53,7 +53,9 @@ class McapReader:
         range_max: float | None = None,
         robot: str | None = None,
         max_beams: int = DEFAULT_MAX_BEAMS,
+        size: int | None = None,
     ) -> None:
+        """`size`: no more of the file is read, bytes, though it may grow; None: all."""
         check_range_max(range_max)
         self.path, self.unit = path, "messages"
         self.malformed = self.scans = self.poses = self.size = 0
@@ -62,6 +64,7 @@ class McapReader:
         """Messages by topic and type, those for viewers, too."""
         self.times = (0, 0)
         """When the first and the last of them came, ns."""
+        self._at_most = size
         self._range_max = range_max
         self._max_beams = max_beams
         self._renaming = Renaming(path, robot)
@@ -93,7 +96,7 @@ class McapReader:
             file = self._opening.enter_context(self.path.open("rb"))
         except OSError as error:
             raise BadRecording(cannot(self.path, "read", error)) from error
-        self._records = McapRecords(file)
+        self._records = McapRecords(file, self._at_most)
         self.size = self._records.size
         return self
 
