@@ -15,6 +15,7 @@ from ogm_client.errors import (
 )
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
+from ogm_client.map_layer import MapLayer
 from ogm_client.raycast import Ray, Rays
 from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
@@ -27,6 +28,7 @@ from ogm_core.errors import (
     BadSetting,
     DiskFull,
     MapEmpty,
+    MissingExtra,
     OgmError,
 )
 from ogm_core.status import RobotStatus, SnapshotInfo, SourceStatus, Status
@@ -48,7 +50,9 @@ __all__ = [
     "MapClient",
     "MapEmpty",
     "MapGrid",
+    "MapLayer",
     "MapperError",
+    "MissingExtra",
     "NobodyAnswered",
     "NotHeard",
     "OgmError",

@@ -10,8 +10,8 @@ OgmError
     +-- BadReply          the answer is not what a mapper answers
 
 What is wrong with the caller's own values is a `BadInput`: `BadMessage`, `BadParameter` or `BadSetting`,
-raised before anything is sent; of files, `BadMapFile` or `BadRecording`. They, `MapEmpty` and `DiskFull` are
-importable from `ogm_client`.
+raised before anything is sent; of files, `BadMapFile` or `BadRecording`; of a package that is not installed,
+`MissingExtra`. They, `MapEmpty` and `DiskFull` are importable from `ogm_client`.
 """
 
 from ogm_core.errors import OgmError

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm_client.footprints import footprints_of
+from ogm_client.map_layer import MapLayer
 from ogm_client.raycast import WORDS, Ray, Rays, Unknown, goes_through
 from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import probability_of
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import CellRect, Lattice
+from ogm_core.queries.distances import distances, inflated
 from ogm_core.queries.footprints import WORDS as STATES
 from ogm_core.queries.footprints import Footprints
 from ogm_core.queries.rays import RayCaster
@@ -27,6 +29,10 @@ class GridQueries:
     resolution: float
     anchor: tuple[float, float]
     offset: tuple[int, int]
+    epoch: str
+    revision: int
+    stamp: int | None
+    run: str
 
     @overload
     def raycast(
@@ -108,3 +114,38 @@ class GridQueries:
             log_odds = self.log_odds[:0]
         states = asked.states(trinary(probability_of(log_odds), ~np.isnan(log_odds)), part)
         return np.array([STATES[state] for state in states.tolist()], np.str_)
+
+    def distance(self, max_distance: float = math.inf) -> MapLayer:
+        """How far the nearest occupied cell is, of every cell: metres between their centres, float32.
+
+        Occupied cells are those of this grid, as `occupancy` has it. What is farther than `max_distance` m
+        has just that; where nothing is occupied, and without it, distances are infinite. Unknown cells have
+        distances, too. It is computed by SciPy.
+
+        Raises:
+            BadParameter: `max_distance` is not positive.
+            MissingExtra: SciPy is not installed.
+        """
+        states, whole = self._states()
+        return self._layer(distances(states, whole, self.resolution, max_distance))
+
+    def inflate(self, radius: float) -> MapLayer:
+        """`occupancy`, int8, with all occupied, 100, within `radius` m of an occupied cell.
+
+        From centre to centre; unknown cells become occupied, too. It is computed by SciPy.
+
+        Raises:
+            BadParameter: the radius is not 0 to 100 m.
+            MissingExtra: SciPy is not installed.
+        """
+        states, whole = self._states()
+        return self._layer(inflated(states, whole, self.resolution, radius))
+
+    def _states(self) -> tuple[NDArray[np.int8], CellRect]:
+        height, width = self.log_odds.shape
+        states = trinary(probability_of(self.log_odds), ~np.isnan(self.log_odds))
+        return states, CellRect(0, 0, width, height)
+
+    def _layer(self, values: NDArray[Any]) -> MapLayer:
+        place = self.resolution, self.anchor, self.offset
+        return MapLayer(values, *place, self.epoch, self.revision, self.stamp, self.run)

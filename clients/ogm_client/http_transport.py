@@ -81,9 +81,9 @@ class HttpTransport:
         """The bytes of one of NAMES."""
         return self._send("GET", name, parameters).content
 
-    def fetch_map(self, parameters: Parameters) -> MapReply:
-        """map.npz with its version."""
-        return _map_reply(self._send("GET", "map.npz", parameters))
+    def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
+        """map.npz, or another archive, with its version."""
+        return _map_reply(self._send("GET", name, parameters))
 
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""

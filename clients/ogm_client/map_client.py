@@ -93,7 +93,7 @@ class MapClient(MapQueries):
         return self._grid(self._transport.fetch_map(texts({"region": region, "at": at})))
 
     def fetch(self, name: str, /, **parameters: Value) -> bytes:
-        """The bytes of map.png (pgw, json, pgm, yaml, npz), cell, quality, status, snapshots or raycast.
+        """The bytes of one of the routes that answer a GET, such as map.png, distance.npz, cell or status.
 
         The parameters are those of the HTTP route, such as `palette="probability"`, `max_size=500`,
         `region=(-1, -1, 1, 1)` or `at="monday"`.

@@ -8,10 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm_client.errors import BadReply
 from ogm_client.footprints import footprints_of
+from ogm_client.map_layer import MapLayer
 from ogm_client.parameters import texts
 from ogm_client.raycast import WORDS, Rays, Unknown
 from ogm_client.status_reply import read_reply
 from ogm_client.transport import Transport, printable
+from ogm_core.errors import BadInput
+from ogm_core.files.layer_files import DISTANCE, OCCUPANCY, read_layer_npz
 from ogm_core.queries.footprints import WORDS as STATES
 from ogm_core.queries.rays import FOUND_NOTHING, FOUND_UNKNOWN, FOUND_WALL
 from ogm_core.queries.replies import CheckReply, RaycastReply
@@ -24,6 +27,7 @@ class MapQueries:
     """What a `MapClient` asks its mapper to compute, over the connection that it has."""
 
     _transport: Transport
+    _max_bytes: int
 
     def raycast(
         self,
@@ -94,3 +98,38 @@ class MapQueries:
             told = printable(f"{len(states)}, {sorted(set(states))}")
             raise BadReply(f"check: a state is needed of each of {len(asked)}, got {told}")
         return np.array(states, np.str_)
+
+    def distance(self, region: ArrayLike | None = None, *, max_distance: float | None = None) -> MapLayer:
+        """How far the nearest occupied cell of the map is, of every cell: metres between centres, float32.
+
+        Of the whole map, or of the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, to what is
+        occupied around it, too; else as `MapGrid.distance`. With a small `max_distance` a part costs the
+        mapper little. A map without a known cell has shape (0, 0).
+
+        Raises:
+            MapperError: the region is inverted, not finite, or wholly outside the map, or `max_distance` is
+                not above 0 and up to 1000 m.
+        """
+        given = texts({"region": region, "max_distance": max_distance})
+        return self._fetched_layer(DISTANCE, "distance.npz", given)
+
+    def inflate(self, radius: float, region: ArrayLike | None = None) -> MapLayer:
+        """The map's trinary states, int8, with all occupied, 100, within `radius` m of an occupied cell.
+
+        Of the whole map, or of a part of it, as `distance`; else as `MapGrid.inflate`.
+
+        Raises:
+            MapperError: the region is inverted, not finite, or wholly outside the map, or the radius is not 0
+                to 100 m.
+        """
+        given = texts({"region": region, "radius": radius})
+        return self._fetched_layer(OCCUPANCY, "inflate.npz", given)
+
+    def _fetched_layer(self, array: str, name: str, given: dict[str, str]) -> MapLayer:
+        reply = self._transport.fetch_map(given, name)
+        try:
+            values, place = read_layer_npz(reply.npz, array, max_bytes=self._max_bytes)
+        except BadInput as error:
+            raise BadReply(str(error)) from error
+        epoch, run, revision = reply.version
+        return MapLayer(values, *place, epoch, revision, reply.stamp, run)

@@ -12,6 +12,7 @@ from ogm_core.wire.keys import Query, Write
 NAMES = (
     *("map.png", "map.pgw", "map.json", "map.pgm", "map.yaml", "map.npz"),
     *("cell", "quality", "status", "snapshots", "raycast"),
+    *("distance.png", "distance.npz", "inflate.png", "inflate.npz"),
 )
 """What can be fetched from a mapper, over HTTP and over Zenoh alike."""
 
@@ -33,7 +34,7 @@ class Limits(NamedTuple):
 
     def bytes_of(self, name: str) -> int:
         """The longest answer to one of NAMES."""
-        return self.max_bytes if name.startswith("map.") else min(self.max_bytes, MAX_FIGURES_BYTES)
+        return self.max_bytes if "." in name else min(self.max_bytes, MAX_FIGURES_BYTES)
 
 
 class Version(NamedTuple):
@@ -46,7 +47,10 @@ class Version(NamedTuple):
 
 
 class MapReply(NamedTuple):
-    """map.npz and what it shows; `stamp` of the newest integrated scan, ns since the Unix epoch, or None."""
+    """map.npz, or another archive, and what it shows.
+
+    `stamp` of the newest integrated scan, ns since the Unix epoch, or None.
+    """
 
     npz: bytes
     version: Version
@@ -62,8 +66,8 @@ class Transport(Protocol):
     def fetch(self, name: str, parameters: Parameters) -> bytes:
         """The bytes of one of NAMES."""
 
-    def fetch_map(self, parameters: Parameters) -> MapReply:
-        """map.npz with its version."""
+    def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
+        """map.npz, or another archive of those NAMES, with its version."""
 
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from typing import cast
 
 import msgpack
 import zenoh
@@ -28,13 +29,6 @@ _TIMED_OUT = b"Timeout"
 _MAX_ATTACHMENT_BYTES = 4096
 _AT_ONCE = 0.001
 """Of a question without any time left, s: Zenoh takes 0 for its own default."""
-_SERVICE_OF: Mapping[str, Service] = {
-    "cell": "cell",
-    "quality": "quality",
-    "status": "status",
-    "snapshots": "snapshots",
-    "raycast": "raycast",
-}
 
 
 class ZenohTransport:
@@ -61,12 +55,12 @@ class ZenohTransport:
 
     def fetch_described(self, name: str, parameters: Parameters) -> tuple[bytes, Mapping[str, object]]:
         """The bytes of one of NAMES that shows the map, and what the mapper says of it, unchecked."""
-        sample = self._get("map", {"format": name.removeprefix("map."), **parameters}, self._deadline())
+        sample = self._get(*_asked(name, parameters), self._deadline())
         return _content(name, sample.payload, self._limits.bytes_of(name)), _attachment(sample)
 
-    def fetch_map(self, parameters: Parameters) -> MapReply:
-        """map.npz with its version."""
-        return self._fetch_map(parameters, self._deadline())
+    def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
+        """map.npz, or another archive, with its version."""
+        return self._fetch_map(parameters, self._deadline(), name)
 
     def fetch_map_after(self, seen: Version) -> MapReply | None:
         """map.npz, whole, if the map is no longer at version `seen`; else None."""
@@ -96,16 +90,13 @@ class ZenohTransport:
         return time.monotonic() + self._limits.timeout
 
     def _fetch(self, name: str, parameters: Parameters, deadline: float) -> bytes:
-        if name in _SERVICE_OF:
-            sample = self._get(_SERVICE_OF[name], parameters, deadline)
-        else:
-            sample = self._get("map", {"format": name.removeprefix("map."), **parameters}, deadline)
+        sample = self._get(*_asked(name, parameters), deadline)
         return _content(name, sample.payload, self._limits.bytes_of(name))
 
-    def _fetch_map(self, parameters: Parameters, deadline: float) -> MapReply:
-        sample = self._get("map", {"format": "npz", **parameters}, deadline)
+    def _fetch_map(self, parameters: Parameters, deadline: float, name: str = "map.npz") -> MapReply:
+        sample = self._get(*_asked(name, parameters), deadline)
         meta = _attachment(sample)
-        npz = _content("map.npz", sample.payload, self._limits.max_bytes)
+        npz = _content(name, sample.payload, self._limits.max_bytes)
         return map_reply(npz, *(meta.get(name) for name in ("epoch", "run", "revision", "stamp")))
 
     def _get(
@@ -132,6 +123,12 @@ class ZenohTransport:
         timeout, over = self._limits.timeout, time.monotonic() - deadline
         secured = is_secured(self._session)
         raise nobody(self._keys.map_name, self._where, timeout, timeout + over, secured=secured)
+
+
+def _asked(name: str, parameters: Parameters) -> tuple[Service, Parameters]:
+    """The queryable of one of NAMES, and its parameters, of which the format may be one."""
+    service, _, form = name.partition(".")
+    return cast(Service, service), {"format": form, **parameters} if form else parameters
 
 
 def _content(what: str, payload: zenoh.ZBytes, limit: int) -> bytes:

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
@@ -113,13 +113,21 @@ def encode_npz(snap: MapSnapshot) -> bytes:
     What is there of the cells, [iy, ix], row 0 south, is the cell model's `arrays`: of log odds, `log_odds`,
     NaN where unknown, float64 of float64 cells, else float32.
     """
-    arrays = {
-        **snap.model.arrays(snap.stored),
+    return pack({**snap.model.arrays(snap.stored), **place_arrays(snap)})
+
+
+def place_arrays(snap: MapSnapshot) -> dict[str, NDArray[Any]]:
+    """Where the cells of a snapshot lie, as an archive tells it."""
+    return {
         "resolution": np.array(snap.resolution),
         "origin": np.array(snap.origin),
         "offset": np.array(snap.offset, np.int64),
         "anchor": np.array(snap.lattice.anchor),
     }
+
+
+def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """NumPy archive of arrays, equal bytes for equal ones."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
@@ -127,6 +135,14 @@ def encode_npz(snap: MapSnapshot) -> bytes:
             with archive.open(f"{name}.npy", "w", force_zip64=array.nbytes >= 2**31) as member:
                 npy.write_array(member, array, allow_pickle=False)
     return file.getvalue()
+
+
+class Place(NamedTuple):
+    """Where cells lie: [iy, ix] has its lower-left corner at anchor + (offset + (ix, iy)) * resolution, m."""
+
+    resolution: float
+    anchor: tuple[float, float]
+    offset: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,23 +193,33 @@ def _read_npz(file: BinaryIO, name: str, max_bytes: int) -> NpzMap:
                 raise BadInput(
                     f"{name}: its cells take {packed.nbytes} bytes, at most {max_bytes} are allowed"
                 )
-            resolution = _values(arrays, "resolution", (), np.float64)
-            anchor = _values(arrays, "anchor", (2,), np.float64)
-            offset = _values(arrays, "offset", (2,), np.int64)
-            if not 0.0 < resolution < np.inf:
-                raise BadInput(f"{name}: resolution is {resolution}, a positive number is needed")
-            if not np.isfinite(anchor).all():
-                raise BadInput(f"{name}: anchor is {anchor}, finite numbers are needed")
-            if not (abs(offset // 2) < MAX_INDEX // 2).all():
-                raise BadInput(f"{name}: offset is {offset}, at most {MAX_INDEX} cells are needed")
+            place = check_place(arrays, name)
             log_odds = packed.read()
     except UNREADABLE as error:
         raise BadInput(
             f"{name}: not a map that was saved here and can be read ({str(error)[:400]})"
         ) from error
+    return NpzMap(log_odds, *place)
+
+
+def check_place(arrays: NpzArrays, name: str) -> Place:
+    """Where the cells of an archive lie.
+
+    Raises:
+        BadInput: that cannot be; the text begins with `name`.
+    """
+    resolution = _values(arrays, "resolution", (), np.float64)
+    anchor = _values(arrays, "anchor", (2,), np.float64)
+    offset = _values(arrays, "offset", (2,), np.int64)
+    if not 0.0 < resolution < np.inf:
+        raise BadInput(f"{name}: resolution is {resolution}, a positive number is needed")
+    if not np.isfinite(anchor).all():
+        raise BadInput(f"{name}: anchor is {anchor}, finite numbers are needed")
+    if not (abs(offset // 2) < MAX_INDEX // 2).all():
+        raise BadInput(f"{name}: offset is {offset}, at most {MAX_INDEX} cells are needed")
     x, y = anchor.tolist()
     ix, iy = offset.tolist()
-    return NpzMap(log_odds, float(resolution), (x, y), (ix, iy))
+    return Place(float(resolution), (x, y), (ix, iy))
 
 
 def _values(arrays: NpzArrays, name: str, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:

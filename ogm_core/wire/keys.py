@@ -18,7 +18,7 @@ MAX_TRUTH_BYTES = 256 * 1024
 
 Write = Literal["reset", "erase", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
-Query = Literal["raycast", "check"]
+Query = Literal["raycast", "check", "distance", "inflate"]
 """What is computed from a map for who asks."""
 Service = Literal["map", "cell", "quality", "status", "snapshots", Query, Write]
 

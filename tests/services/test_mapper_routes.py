@@ -15,7 +15,8 @@ HIT = math.log(0.7 / 0.3)
 MAPS = ["/map.png", "/map.pgw", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/tiles.json"]
 ROUTES = [*MAPS, "/cell", "/quality", "/status", "/livez", "/readyz", "/metrics", "/version", "/"]
 TILES = "/tiles/{z}/{x}/{y}.png"
-QUERIES = {"/raycast": "get", "/check": "post"}
+LAYERS = ["/distance.png", "/distance.npz", "/inflate.png", "/inflate.npz"]
+QUERIES = {"/raycast": "get", "/check": "post", **dict.fromkeys(LAYERS, "get")}
 WRITES = {
     "/reset": "post",
     "/erase": "post",
@@ -271,6 +272,10 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
         "/map.yaml": {"region", "at"},
         "/map.npz": {"region", "at"},
         "/cell": {"x", "y"},
+        "/distance.png": {"region", "max_distance"},
+        "/distance.npz": {"region", "max_distance"},
+        "/inflate.png": {"region", "radius"},
+        "/inflate.npz": {"region", "radius"},
         "/raycast": {
             *("x", "y", "theta", "angle_min", "angle_increment", "n", "range_max", "unknown"),
         },
@@ -294,9 +299,10 @@ def test_openapi_documents_what_a_route_may_answer(cross):
         path: set(operation["responses"]) for path, item in paths.items() for operation in item.values()
     }
     assert all(answers >= {"200", "400"} for answers in documented.values())
-    assert {path for path, answers in documented.items() if "304" in answers} == {*MAPS, TILES}
-    for path in (*MAPS, TILES):
-        headers = cross.http.get(path.format(z=16, x=0, y=0)).headers
+    assert {path for path, answers in documented.items() if "304" in answers} == {*MAPS, TILES, *LAYERS}
+    for path in (*MAPS, TILES, *LAYERS):
+        needed = {"radius": 1} if path.startswith("/inflate") else {}
+        headers = cross.http.get(path.format(z=16, x=0, y=0), params=needed).headers
         sent = {name for name in headers if name == "etag" or name.startswith("ogm-")}
         answers = paths[path]["get"]["responses"]
         assert {name.lower() for name in answers["200"]["headers"]} == sent

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -75,6 +75,21 @@ class AnswerCache:
             if size <= self._room:
                 self._answers[key] = answer
                 self._size += size
+
+    def answer(
+        self,
+        key: object,
+        asked: Identity,
+        held: Callable[[], AbstractContextManager[None]],
+        make: Callable[[], Answer],
+    ) -> Answer:
+        """What is kept under this key, or what `make` makes and keeps, inside of what `held` holds for it."""
+        answer = self.find(key, asked)
+        if answer is None:
+            with held(), self.turn(key):
+                # Whoever had the turn before may have made one that is new enough for this one too.
+                answer = self.find(key, asked) or make()
+        return answer
 
     @contextmanager
     def turn(self, key: object) -> Iterator[None]:

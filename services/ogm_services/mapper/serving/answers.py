@@ -78,7 +78,9 @@ class Answers:
         self._coloured = MapPicture(value_byte)
         self._tiles = MapTiles(live_map, self.cache_room, self._in_flight)
         self._ready = ready
-        self.queries = Queries(live_map, self._large, self._in_flight, self.check_ready)
+        self.queries = Queries(
+            *(live_map, self._cache, self._large, self._in_flight, self.check_ready, memory)
+        )
         """What is computed from the map for who asks."""
         self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self._tiles]
         if memory is not None:
@@ -122,14 +124,12 @@ class Answers:
             rest = {name: value for name, value in given.items() if name != "at"}
             return self.saved.map(given["at"], wanted, rest)
         asked = self._map.now
-        key = (form, tuple(sorted(given.items())))
-        answer = self._cache.find(key, asked)
-        if answer is None:
-            region = region_of(given)
-            with self._large.making(self._cells(form, given, region)), self._cache.turn(key):
-                # Whoever had the turn before may have encoded a map that is new enough for this one too.
-                answer = self._cache.find(key, asked) or self._encoded(wanted, given, region, key)
-        return answer
+        key, region = (form, tuple(sorted(given.items()))), region_of(given)
+        return self._cache.answer(
+            *(key, asked),
+            lambda: self._large.making(self._cells(form, given, region)),
+            lambda: self._encoded(wanted, given, region, key),
+        )
 
     def now(self) -> Identity:
         """Epoch, revision and stamp of the map at this moment; waits for nobody."""

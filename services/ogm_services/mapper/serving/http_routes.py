@@ -136,7 +136,7 @@ def build_app(
     add_get(app, "/quality", _handler(maps, answers.quality), described, "The quality figures")
     status = _handler(shares.status, answers.status)
     add_get(app, "/status", status, responses("application/json", Status), "The mapper's status")
-    add_query_routes(app, answers, shares.maps)
+    add_query_routes(app, answers, ready, shares.maps)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     add_write_routes(app, writes, shares.writes)

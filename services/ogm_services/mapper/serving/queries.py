@@ -1,18 +1,27 @@
 """Queries about the map: what its cells mean for who moves in it, over HTTP and Zenoh alike."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import orjson
 
-from ogm_core.lattice import CellRect
+from ogm_core.cells.classes import trinary
+from ogm_core.files.map_files import check_not_empty
+from ogm_core.lattice import CellRect, Region
+from ogm_core.queries.distances import around
 from ogm_core.snapshot import MapSnapshot
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_core.wire.keys import Query
+from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers
+from ogm_services.mapper.serving.layers import LAYER_FORMATS, Layer, layer_bytes, layer_of
+from ogm_services.mapper.serving.map_formats import region_of
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.in_flight import InFlight
+from ogm_services.runtime.memory import MemoryUse
 
 
 class Queries:
@@ -21,12 +30,19 @@ class Queries:
     def __init__(
         self,
         live_map: LiveMap,
+        cache: AnswerCache,
         large: LargeAnswers,
         in_flight: InFlight,
         check_ready: Callable[[], None],
+        memory: MemoryUse | None = None,
     ) -> None:
-        """`check_ready` refuses while the mapper starts; `in_flight` counts what is being made."""
+        """`check_ready` refuses while the mapper starts; `in_flight` counts what is being made.
+
+        Layers are kept in the `cache`, which others share, while `memory` has room.
+        """
         self._map = live_map
+        self._cache = cache
+        self._memory = memory
         self._large = large
         self._in_flight = in_flight
         self._check_ready = check_ready
@@ -62,6 +78,54 @@ class Queries:
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
         with self._large.making(window.cells), self._in_flight.making(_bytes_of_states(part)):
             return _json(whole, {"states": words_of(asked, part)})
+
+    def distance(self, form: str, given: Parameters) -> Answer:
+        """How far the nearest occupied cell is, of every cell, in a format of LAYER_FORMATS.
+
+        Raises:
+            UnknownName: there is no such format.
+            BadParameter: a parameter is unknown, ill-formed or out of range, or its region misses the map.
+            MapEmpty: a picture of a map without a known cell.
+            Busy: it is large, and there is no memory or no thread left for it.
+        """
+        return self._layer("distance", form, given)
+
+    def inflate(self, form: str, given: Parameters) -> Answer:
+        """The map with every cell occupied that is within a radius of an occupied one, likewise."""
+        return self._layer("inflate", form, given)
+
+    def _layer(self, name: Query, form: str, given: Parameters) -> Answer:
+        self._check_ready()
+        layer, region = layer_of(name, form, given), region_of(given)
+        key = (f"{name}.{form}", tuple(sorted(given.items())))
+        return self._cache.answer(
+            *(key, self._map.now),
+            lambda: self._large.making(self._map.cells_in(_grown(region, layer.reach))),
+            lambda: self._made(layer, region, form, key),
+        )
+
+    def _made(self, layer: Layer, region: Region | None, form: str, key: object) -> Answer:
+        whole = self._map.snapshot()
+        shown = whole if region is None else whole.crop(region)
+        if form == "png":
+            check_not_empty(shown)
+        window = around(shown.rect, layer.reach / whole.lattice.resolution, whole.rect)
+        with self._in_flight.making(layer_bytes(window.cells, shown.rect.cells)):
+            x, y, width, height = shown.rect
+            states = whole.part(window).encode(trinary)
+            body = layer.encoded(states, CellRect(x - window.ix, y - window.iy, width, height), shown)
+        answer = Answer(body, LAYER_FORMATS[form], shown.meta())
+        self._cache.keep(key, Identity.of(whole), answer)
+        if self._memory is not None:
+            self._memory.make_room()
+        return answer
+
+
+def _grown(region: Region | None, more: float) -> Region | None:
+    """A region with so many metres more on every side; None, everything, if that is without end."""
+    if region is None or math.isinf(more):
+        return None
+    return Region(region.xmin - more, region.ymin - more, region.xmax + more, region.ymax + more)
 
 
 def _bytes_of_states(snapshot: MapSnapshot) -> int:

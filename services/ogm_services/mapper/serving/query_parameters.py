@@ -21,11 +21,13 @@ class NumberParameter:
     default: float | None = None
     above: bool = False
     whole: bool = False
+    optional: bool = False
+    """Whether who asks looks himself if it is given: there is no default."""
 
     @property
     def needed(self) -> bool:
         """Whether a request must give it."""
-        return self.default is None
+        return self.default is None and not self.optional
 
     def read(self, given: Parameters) -> float:
         """The number that is given, or the default.
@@ -50,7 +52,7 @@ class NumberParameter:
             described["exclusiveMinimum" if self.above else "minimum"] = self.least
         if math.isfinite(self.most):
             described["maximum"] = self.most
-        return described | ({} if self.needed else {"default": self.default})
+        return described if self.default is None else described | {"default": self.default}
 
     @property
     def _range(self) -> str:

@@ -1,19 +1,24 @@
 """Routes of queries over HTTP: what is computed from the map for who asks."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Callable
 
 from fastapi import FastAPI, Request, Response
 
 from ogm_core.queries.replies import CheckReply, RaycastReply
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.api_description import responses
+from ogm_services.mapper.serving.api_description import described_parameters, map_responses, responses
 from ogm_services.mapper.serving.checks import BODY, MAX_BODY
-from ogm_services.mapper.serving.handlers import Handler, in_turn, parameters_of, plain
+from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
+from ogm_services.mapper.serving.layers import (
+    DISTANCE_OF_ARRAY,
+    DISTANCE_OF_PICTURE,
+    LAYER_FORMATS,
+    RADIUS,
+)
 from ogm_services.mapper.serving.queries import Queries
-from ogm_services.mapper.serving.query_parameters import Parameter, described
+from ogm_services.mapper.serving.query_parameters import described
 from ogm_services.mapper.serving.raycasts import RAYCAST
+from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.turns import Turns
 
@@ -24,24 +29,20 @@ BODIES = {CHECK.encode(): MAX_BODY}
 """How long bodies may be, bytes, by the path that they are sent to."""
 
 
-def add_query_routes(app: FastAPI, answers: Answers, turns: Turns) -> None:
+def add_query_routes(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) -> None:
     """Add them; the threads of `turns` compute."""
 
-    def handler(query: Callable[[Queries, Parameters], Answer]) -> Handler:
-        async def handle(request: Request) -> Response:
-            given = parameters_of(request)
-            return plain(await in_turn(turns, lambda: query(answers.queries, given)))
-
-        return handle
-
-    summary = "Cast rays from a point: how far each goes, and whether an occupied or an unknown cell ends it"
-    described_answers = responses("application/json", RaycastReply, problems=(404, 503))
+    async def raycast(request: Request) -> Response:
+        given = parameters_of(request)
+        return plain(await in_turn(turns, lambda: answers.queries.raycast(given)))
 
     async def check(request: Request) -> Response:
         given, body = parameters_of(request), await request.body()
         return plain(await in_turn(turns, lambda: answers.queries.check(given, body)))
 
-    _add(app, "/raycast", handler(Queries.raycast), described_answers, summary, RAYCAST)
+    summary = "Cast rays from a point: how far each goes, and whether an occupied or an unknown cell ends it"
+    cast = responses("application/json", RaycastReply, problems=(404, 503))
+    add_get(app, "/raycast", raycast, cast, summary, described(RAYCAST))
     app.add_api_route(
         CHECK,
         check,
@@ -51,18 +52,24 @@ def add_query_routes(app: FastAPI, answers: Answers, turns: Turns) -> None:
         responses=responses("application/json", CheckReply, problems=(403, 413, 503)),
         openapi_extra={"requestBody": BODY},
     )
+    _add_layers(app, answers, ready, turns)
 
 
-def _add(
-    app: FastAPI,
-    path: str,
-    handler: Handler,
-    answers: dict[int | str, dict[str, Any]],
-    summary: str,
-    parameters: Sequence[Parameter],
-) -> None:
-    """Route GET and HEAD."""
-    add = partial(app.add_api_route, path, handler)
-    extra = {"parameters": described(parameters)}
-    add(summary=summary, response_class=Response, responses=answers, openapi_extra=extra)
-    add(methods=["HEAD"], include_in_schema=False)
+def _add_layers(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) -> None:
+    def handler(made: Callable[[Queries, str, Parameters], Answer], form: str) -> Handler:
+        async def handle(request: Request) -> Response:
+            given = parameters_of(request)
+            answer = await in_turn(turns, lambda: made(answers.queries, form, given))
+            return ready.keep(request, Ready.map(answer))
+
+        return handle
+
+    region = described_parameters(["region"])
+    for form, media_type in LAYER_FORMATS.items():
+        farthest = DISTANCE_OF_PICTURE if form == "png" else DISTANCE_OF_ARRAY
+        summary = f"Metres from every cell to the nearest occupied one, as {form.upper()}"
+        made, parameters = handler(Queries.distance, form), [*region, *described([farthest])]
+        add_get(app, f"/distance.{form}", made, map_responses(media_type), summary, parameters)
+        summary = f"The map with all occupied within a radius of what is, as {form.upper()}"
+        made, parameters = handler(Queries.inflate, form), [*region, *described([RADIUS])]
+        add_get(app, f"/inflate.{form}", made, map_responses(media_type), summary, parameters)

@@ -1,6 +1,6 @@
 """The mapper's routes on Zenoh: queryables over `Answers`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from itertools import islice
@@ -10,6 +10,7 @@ import zenoh
 from ogm_core.wire.keys import MapKeys, Write
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.checks import MAX_BODY
+from ogm_services.mapper.serving.layers import DEFAULT_FORMAT
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
@@ -36,18 +37,16 @@ class ZenohRoutes:
 
     def declare(self, answers: Answers, writes: Mapping[Write, DoWrite], shares: Shares) -> None:
         """Declare the queryables: from here on every question gets an answer, by the threads of `shares`."""
-
-        def map_answer(given: Parameters) -> Answer:
-            return answers.map(given.get("format", "json"), {k: v for k, v in given.items() if k != "format"})
-
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
-        declare(key("map"), map_answer, shares.maps)
+        declare(key("map"), _in_format(answers.map, "json"), shares.maps)
         declare(key("cell"), answers.cell, shares.maps)
         declare(key("quality"), answers.quality, shares.maps)
         declare(key("status"), answers.status, shares.status)
         declare(key("snapshots"), answers.snapshots, shares.maps)
         declare(key("raycast"), answers.queries.raycast, shares.maps)
+        declare(key("distance"), _in_format(answers.queries.distance, DEFAULT_FORMAT), shares.maps)
+        declare(key("inflate"), _in_format(answers.queries.inflate, DEFAULT_FORMAT), shares.maps)
         self._queryables.declare_with_body(key("check"), answers.queries.check, shares.maps, MAX_BODY)
         for name, write in writes.items():
             declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
@@ -69,3 +68,13 @@ class ZenohRoutes:
     def close(self) -> None:
         """Undeclare everything; who closes the shares sees to the queries that have come."""
         self._declared.close()
+
+
+def _in_format(made: Callable[[str, Parameters], Answer], default: str) -> Callable[[Parameters], Answer]:
+    """What is made in a format, for queries that name it in a parameter."""
+
+    def answer(given: Parameters) -> Answer:
+        rest = {name: value for name, value in given.items() if name != "format"}
+        return made(given.get("format", default), rest)
+
+    return answer
