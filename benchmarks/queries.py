@@ -1,10 +1,11 @@
-"""How long questions about the map take: rays through it, in the mapper and in the client.
+"""How long questions about the map take: rays, in the mapper and in the client, checks, and distances.
 
 CPU time of one thread in this process, the least of several rounds, from several places of the lap. What a
 mapper's answer takes is all of it, from texts to JSON; the map has just changed and is laid out anew. The map
 is `big`.
 """
 
+import json
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ from ogm_services.mapper.serving.raycasts import Fan, FanCells
 RAYS, RANGE = 1081, 30.0
 FIRST, STEP = -0.75 * math.pi, 1.5 * math.pi / (RAYS - 1)
 ROUNDS, QUICK_ROUNDS = 15, 3
+FOOTPRINTS = 500
 PLACES = 8
 KERNEL_TARGET, CLIENT_TARGET = 5.0, 60.0
 """What is asked for of a scan's rays, ms."""
@@ -35,7 +37,7 @@ def run(quick: bool) -> list[Result]:
     work, rounds = whole_big(), QUICK_ROUNDS if quick else ROUNDS
     grid = mapped(work)
     poses = [placed.pose for placed in work.scans[:: max(1, len(work.scans) // PLACES)]]
-    return rays(grid, poses, rounds)
+    return [*rays(grid, poses, rounds), *others(grid, poses, rounds)]
 
 
 def rays(grid: OccupancyGrid, poses: Sequence[Pose], rounds: int) -> list[Result]:
@@ -57,6 +59,36 @@ def rays(grid: OccupancyGrid, poses: Sequence[Pose], rounds: int) -> list[Result
         Result(group, "the slowest of them", max(whole), "ms", KERNEL_TARGET, at_least=False),
         Result(
             group, "MapGrid.raycast, of NumPy", float(np.mean(client)), "ms", CLIENT_TARGET, at_least=False
+        ),
+    ]
+
+
+def others(grid: OccupancyGrid, poses: Sequence[Pose], rounds: int) -> list[Result]:
+    """Results of checks of footprints along the way, and of distances of a part and of the whole map."""
+    live = LiveMap(grid)
+    queries = Answers("big", live, Receipts(), Monitor(live)).queries
+    box = np.array([(-0.3, -0.2), (0.3, -0.2), (0.3, 0.2), (-0.3, 0.2)])
+    at = np.random.default_rng(1).uniform(-10.0, 10.0, (FOOTPRINTS, 2)) + np.array(poses[0][:2])
+    body = json.dumps({"footprints": (at[:, None] + box).round(3).tolist(), "margin": 0.1}).encode()
+    x, y = poses[0].x, poses[0].y
+    part = {"region": f"{x - 10},{y - 10},{x + 10},{y + 10}", "max_distance": "2"}
+    cells = live.cells_in(None)
+
+    def layer(given: dict[str, str]) -> bytes:
+        queries._cache.let_go()
+        return queries.distance("npz", given).body
+
+    group = "checks and distances on `big`: CPU time"
+    return [
+        Result(
+            group, f"a check of {FOOTPRINTS} footprints", least(lambda: queries.check({}, body), rounds), "ms"
+        ),
+        Result(group, "distances up to 2 m in 20 x 20 m", least(lambda: layer(part), rounds), "ms"),
+        Result(
+            group,
+            f"distances of all {cells:,} cells, a cell",
+            1e6 * least(lambda: layer({}), 1) / cells,
+            "ns",
         ),
     ]
 
