@@ -176,6 +176,12 @@ def simulate(
     robot_prefix: Annotated[
         str, typer.Option(metavar="NAME", help="The robots' names: NAME1, NAME2 and so on.")
     ] = "robot",
+    robot_radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES", help="How large they are to each other's LiDARs (default: they see no robots)."
+        ),
+    ] = None,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Scans a second of each robot.")] = 20.0,
     seed: Annotated[
         int | None,
@@ -213,7 +219,8 @@ def simulate(
     radians = None if fov is None else math.radians(fov)
     lidar = (beams, radians, range_max, noise)
     begin = _point("--start", start)
-    options = SimulatorOptions(world, robots, rate, seed, *lidar, scans, begin, robot_prefix, connect_timeout)
+    fleet = robot_prefix, connect_timeout, robot_radius
+    options = SimulatorOptions(world, robots, rate, seed, *lidar, scans, begin, *fleet)
     settings = settings_from(config, network, logging, print_config=print_config)
     if out is not None and scans is None:
         raise BadInput("--out needs --scans N: a recording has an end")

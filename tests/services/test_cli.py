@@ -32,8 +32,8 @@ FLAGS = {
     f"{SERVICE_FLAGS}",
     "mapper": f"--out --robot --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
-    "simulate": "--robots --robot-prefix --rate --seed --world --start --beams --fov --range-max --noise "
-    f"--out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
+    "simulate": "--robots --robot-prefix --robot-radius --rate --seed --world --start --beams --fov "
+    f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
@@ -152,6 +152,8 @@ def one_line(result, code):
         ("simulate --robots many", "--robots"),
         ("simulate --robot-prefix r/", "robot-prefix 'r/1': a name is"),
         ("simulate --robots 10 --robot-prefix " + "x" * 63, "xx10': a name is 1 to 64"),
+        ("simulate --robot-radius 0", "robot-radius: more than 0 and at most 100 m are needed, got 0"),
+        ("simulate --robot-radius nan", "robot-radius: more than 0 and at most 100 m are needed, got nan"),
         ("simulate --connect-timeout -1", "connect-timeout: 0 s or more"),
         ("simulate --connect-timeout nan", "connect-timeout: 0 s or more"),
         ("simulate --fov 361", "at most 360 degrees are needed, got 361"),
@@ -305,8 +307,11 @@ def test_simulate_takes_degrees_and_passes_on_radians(ogm, stub):
 
 def test_simulated_robots_have_names_of_their_own(ogm, stub):
     run = stub("ogm_services.commands.simulator", "run_simulator")
-    assert ogm("simulate", "--robots", 2, "--robot-prefix", "cart-", "--connect-timeout", 3).exit_code == 0
-    assert (run.args[1].names, run.args[1].connect_timeout) == (["cart-1", "cart-2"], 3.0)
+    flags = ("--robots", 2, "--robot-prefix", "cart-", "--connect-timeout", 3, "--robot-radius", 0.3)
+    assert ogm("simulate", *flags).exit_code == 0
+    options = run.args[1]
+    assert options.names == ["cart-1", "cart-2"]
+    assert (options.connect_timeout, options.robot_radius) == (3.0, 0.3)
 
 
 def test_shells_complete_commands_and_flags(ogm):

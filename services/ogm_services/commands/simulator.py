@@ -61,20 +61,33 @@ class Simulation:
             noise=lab.noise if options.noise is None else options.noise,
         )
         self.robots = options.names
+        self._radius = options.robot_radius
         seeds = np.random.SeedSequence(options.seed).spawn(options.robots)
         self._noise = [np.random.default_rng(seed) for seed in seeds]
 
     def step(self, robot: int, step: int) -> tuple[Pose, Ranges]:
         """Pose and ranges of a robot at a step; the robots are spread along the world's path."""
+        pose = self._pose(robot, step)
+        return pose, measure(self._seen_by(robot, step), pose, self.lidar, self._noise[robot])
+
+    def _pose(self, robot: int, step: int) -> Pose:
         path = self.world.path
-        pose = path.pose(step + robot * path.count // len(self.robots))
-        return pose, measure(self.world, pose, self.lidar, self._noise[robot])
+        return path.pose(step + robot * path.count // len(self.robots))
+
+    def _seen_by(self, robot: int, step: int) -> World:
+        """The world as a robot's LiDAR finds it at a step: with the other robots, if they are seen."""
+        others = [other for other in range(len(self.robots)) if other != robot]
+        if self._radius is None or not others:
+            return self.world
+        circles = [(*self._pose(other, step)[:2], self._radius) for other in others]
+        return replace(self.world, circles=np.concatenate((self.world.circles, circles)))
 
     def messages(self, step: int, stamp: int, run: str) -> Iterator[Recorded]:
-        """Every robot's pose and scan of a step."""
-        for number, robot in enumerate(self.robots):
-            pose, ranges = self.step(number, step)
+        """Every robot's pose and scan of a step; scans take longer, and come after all poses."""
+        measured = [self.step(number, step) for number in range(len(self.robots))]
+        for robot, (pose, _) in zip(self.robots, measured, strict=True):
             yield RecordedPose(robot, PoseStamped(stamp, pose, step, run))
+        for robot, (_, ranges) in zip(self.robots, measured, strict=True):
             yield RecordedScan(robot, SENSOR, self._scan(ranges, step, stamp, run))
 
     def _scan(self, ranges: Ranges, seq: int, stamp: int, run: str) -> Scan:

@@ -8,6 +8,8 @@ from ogm_core.wire.keys import check_name
 
 MIN_RATE = 0.001
 """The slowest rate of scans, Hz."""
+MAX_ROBOT_RADIUS = 100.0
+"""m"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +21,8 @@ class SimulatorOptions:
     a fresh one. `beams` of a scan; `fov` in radians; `range_max` and `noise` (standard deviation of a range)
     in metres. `scans`: how many each robot takes, None for no end. `start`: where in a ROS map the first
     robot begins, m; None leaves that to `simulation.patrol.patrol`. `connect_timeout`: how long a mapper or a
-    router is waited for, s.
+    router is waited for, s. `robot_radius`: how large robots are to each other's LiDARs, m; None: they see
+    nothing of each other.
 
     Raises:
         BadSetting: a value is out of range. The LiDAR's own are judged where it is made.
@@ -37,6 +40,7 @@ class SimulatorOptions:
     start: tuple[float, float] | None = None
     robot_prefix: str = "robot"
     connect_timeout: float = math.inf
+    robot_radius: float | None = None
 
     def __post_init__(self) -> None:
         if self.robots < 1:
@@ -50,6 +54,11 @@ class SimulatorOptions:
             raise BadSetting(f"fov: more than 0 and at most 360 degrees are needed, got {degrees:g}")
         if self.scans is not None and self.scans < 1:
             raise BadSetting(f"scans: at least 1 is needed, got {self.scans}")
+        if self.robot_radius is not None and not 0.0 < self.robot_radius <= MAX_ROBOT_RADIUS:
+            raise BadSetting(
+                f"robot-radius: more than 0 and at most {MAX_ROBOT_RADIUS:g} m are needed, "
+                f"got {self.robot_radius:g}"
+            )
         if not self.connect_timeout >= 0.0:
             raise BadSetting(f"connect-timeout: 0 s or more are needed, got {self.connect_timeout:g}")
         check_name(self.names[-1], "robot-prefix")
