@@ -27,10 +27,11 @@ _MAX_PAIRS = 4096
 _ROUNDING = 1e-3
 """m; more than rounding can move a point."""
 
-MarkHits = Callable[[PlacedScan, NDArray[np.float64], NDArray[np.bool_]], None]
-"""Marks the hits of a placed scan, in a bool for each of its N beams, that end within a radius of a place.
+MarkHits = Callable[[PlacedScan, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]], None]
+"""Marks the hits of a placed scan that end at robots: (placed, ways, times, marks); a mark for each beam.
 
-The places are x, y and radius, m: shape (1, P, 3), or (N, P, 3) with those of each beam; NaN is none.
+Each row of `ways`, shape (R, 8), is a piece of a robot's way: the robot's number, its radius (m), and what
+`Piece` has. Each beam has one of the `times`, when a robot is where the first of its rows says that holds it.
 """
 
 
@@ -74,12 +75,11 @@ class OtherRobots:
                 there.append((known.poses.history, radius))
             elif self._goes_on(name, other, newest):
                 hints += (Hint("robot_clock", _CLOCK.format(abs(newest - own) / 1e9, other)),)
-        places = _places(placed, there) if there else []
-        if not places:
+        ways, times = _ways(placed, there)
+        if not ways:
             return WithoutRobots(scan, 0, hints)
         marked = np.zeros(scan.ranges.size, np.bool_)
-        for each in places:
-            self._mark_hits(placed, each, marked)
+        self._mark_hits(placed, np.array(ways), times, marked)
         skipped = int(np.count_nonzero(marked))
         if skipped:
             scan = _without(scan, marked)
@@ -97,43 +97,27 @@ class OtherRobots:
         return newest != before and times == APART_IN_A_ROW
 
 
-def _places(placed: PlacedScan, there: list[tuple[PoseHistory, float]]) -> list[NDArray[np.float64]]:
-    """Places of those robots that a beam may end at, for `MarkHits`.
+def _ways(
+    placed: PlacedScan, there: list[tuple[PoseHistory, float]]
+) -> tuple[list[tuple[float, ...]], NDArray[np.float64]]:
+    """Ways of robots, and times of the beams, for `MarkHits`; there are no rows if nobody may have been seen.
 
     Where the map takes the beams one after the other, each has its own time; else all have the scan's stamp.
     """
-    if placed.sweep is not None:
-        return _places_of_each(placed, placed.sweep.beams, there)
     scan, (x, y, _) = placed.scan, placed.pose
-    farthest = scan.range_max + _ROUNDING
-    near = []
-    for history, radius in there:
-        pose = history.about(scan.stamp)
-        if pose is not None and math.hypot(pose.x - x, pose.y - y) <= farthest + radius:
-            near.append((pose.x, pose.y, radius))
-    return [np.array([near])] if near else []
-
-
-def _places_of_each(
-    placed: PlacedScan, beams: NDArray[np.float64], there: list[tuple[PoseHistory, float]]
-) -> list[NDArray[np.float64]]:
-    """Places of the robots that a beam of a sweep may end at, at each beam's time."""
-    scan = placed.scan
-    first, last = sorted((scan.stamp, scan.end_stamp))
-    xmin, ymin = beams[:, :2].min(axis=0).tolist()
-    xmax, ymax = beams[:, :2].max(axis=0).tolist()
-    after = scan.beam_times
-    near = []
-    for history, radius in there:
-        box = history.box_about(first, last)
-        if box is None:
-            continue
-        dx, dy = max(box[0] - xmax, xmin - box[2], 0.0), max(box[1] - ymax, ymin - box[3], 0.0)
-        if math.hypot(dx, dy) <= scan.range_max + _ROUNDING + radius:
-            places = np.full((scan.ranges.size, 1, 3), radius)
-            places[:, 0, :2] = history.about_each(scan.stamp, after)
-            near.append(places)
-    return near
+    if placed.sweep is None:
+        farthest = scan.range_max + _ROUNDING
+        rows: list[tuple[float, ...]] = []
+        for n, (history, radius) in enumerate(there):
+            pose = history.about(scan.stamp)
+            if pose is not None and math.hypot(pose.x - x, pose.y - y) <= farthest + radius:
+                rows.append((n, radius, 0.0, 0.0, pose.x, pose.y, pose.x, pose.y))
+        return rows, np.zeros(scan.ranges.size if rows else 0)
+    first, last = sorted((0, scan.end_stamp - scan.stamp))
+    pieces = [
+        (n, radius, history.pieces(scan.stamp, first, last)) for n, (history, radius) in enumerate(there)
+    ]
+    return [(n, radius, *piece) for n, radius, each in pieces for piece in each], scan.beam_times
 
 
 def _without(scan: Scan, marked: NDArray[np.bool_]) -> Scan:

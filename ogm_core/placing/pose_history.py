@@ -52,6 +52,17 @@ class HistoryState(NamedTuple):
         return self.first + len(self.stamps)
 
 
+class Piece(NamedTuple):
+    """A piece of a robot's way: straight and steady from (x0, y0) at t0 to (x1, y1) at t1, m and ns."""
+
+    t0: float
+    t1: float
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
 class PoseHistory:
     """The newest poses of one robot, in the order of their stamps (ns, below 2^63).
 
@@ -198,31 +209,32 @@ class PoseHistory:
         there = abs(stamp - newest) <= STILL_THERE_NS and not self._ambiguous[end - 1]
         return self._newest_pose if there else None
 
-    def about_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same for times `after` ns after `stamp`: x and y, m, shape (N, 2), NaN where nobody knows."""
-        places = np.full((after.size, 2), np.nan)
-        if not self._end:
-            return places
-        newest = self._stamps[self._end - 1] - stamp
-        between = np.flatnonzero((after >= self._stamps[self._start] - stamp) & (after <= newest))
-        if between.size:
-            poses, told = self._told_at_each(stamp, after[between])
-            places[between[told]] = poses[told, :2]
-        if not self._ambiguous[self._end - 1]:
-            there = np.isnan(places[:, 0]) & (np.abs(after - newest) <= STILL_THERE_NS)
-            places[there] = self._newest_pose[:2]
-        return places
+    def pieces(self, stamp: int, first: int, last: int) -> list[Piece]:
+        """What `about` says of all times from `first` to `last`, which are told in ns after `stamp`.
 
-    def box_about(self, first: int, last: int) -> tuple[float, float, float, float] | None:
-        """A rectangle, xmin, ymin, xmax, ymax, that holds all places of `about_each` in a time, if any."""
-        if not self._end:
-            return None
-        kept = self._start, self._end
-        begin = max(self._start, bisect_left(self._stamps, first, *kept) - 1)
-        end = min(self._end, bisect_left(self._stamps, last, *kept) + 1)
-        (x, y, _), xy = self._newest_pose, self._poses[3 * begin : 3 * end]
-        xs, ys = xy[::3], xy[1::3]
-        return min(x, *xs), min(y, *ys), max(x, *xs), max(y, *ys)
+        Of each time the first piece that holds it says where the robot was; if none does, nobody knows.
+        """
+        start, end, stamps, poses = self._start, self._end, self._stamps, self._poses
+        if not end:
+            return []
+        newest = stamps[end - 1] - stamp
+        found = []
+        if first <= newest:
+            low = max(start, bisect_left(stamps, stamp + first, start, end) - 1)
+            high = min(bisect_left(stamps, stamp + last, low, end), end - 1)
+            for n in range(low, high):
+                if self._gap_after(n) is None:
+                    x0, y0, _, x1, y1, _ = _read_two(poses, 24 * n)
+                    found.append(Piece(stamps[n] - stamp, stamps[n + 1] - stamp, x0, y0, x1, y1))
+            if len(found) < max(high - low, 1):  # some poses stand alone
+                alone = [n for n in range(low, high + 1) if not self._ambiguous[n]]
+                found += [
+                    Piece(stamps[n] - stamp, stamps[n] - stamp, *poses[3 * n : 3 * n + 2] * 2) for n in alone
+                ]
+        if not self._ambiguous[end - 1]:
+            there = self._newest_pose[:2] * 2
+            found.append(Piece(newest - STILL_THERE_NS, newest + STILL_THERE_NS, *there))
+        return found
 
     def _pose(self, n: int) -> Pose:
         return _new(Pose, _read_pose(self._poses, 24 * n))
@@ -252,15 +264,6 @@ class PoseHistory:
 
     def _at_each(self, stamp: int, after: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses, shape (N, 3), at `after` ns after `stamp`: times between the oldest and the newest pose."""
-        poses, told = self._told_at_each(stamp, after)
-        if not told.all():
-            self.at(stamp + int(after[np.argmin(told)]))  # says why not
-        return poses
-
-    def _told_at_each(
-        self, stamp: int, after: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """The same, and which of them can be told."""
         kept = self._start, self._end
         first = max(self._start, bisect_left(self._stamps, stamp + int(after.min()), *kept) - 1)
         last = bisect_left(self._stamps, stamp + int(after.max()), *kept)
@@ -277,9 +280,11 @@ class PoseHistory:
         met = times[upper] == after
         sure = np.array([not ambiguous for ambiguous in self._ambiguous[first : last + 1]])
         told = np.where(met, sure[upper], joined[lower])
+        if not told.all():
+            self.at(stamp + int(after[np.argmin(told)]))  # says why not
         gap = times[upper] - times[lower]
         f = (after - times[lower]) / np.where(gap > 0.0, gap, 1.0)
-        return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower]), told
+        return np.where(met[:, None], nodes[upper], nodes[lower] + f[:, None] * steps[lower])
 
 
 def _no_pose(reason: Reason) -> NoPose:

@@ -7,14 +7,14 @@ import numpy as np
 from mapper_desk import T0, Desk
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.robot_rules import RobotRule, RobotRules
-from ogm_core.sensor_models.hits import hits_near_by
+from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Pose, PoseStamped
 
 NAN = math.nan
 
 
 def desk(radii=(("b", 0.5),), settings=None, **rules):
-    return Desk(radii=radii, mark_hits=hits_near_by(settings or GridSettings()), **rules)
+    return Desk(radii=radii, mark_hits=hits_at_robots(settings or GridSettings()), **rules)
 
 
 def stands(found, robot, x, y, *times, **fields):

@@ -11,7 +11,7 @@ from mapper_desk import T0, Desk
 from naive_placing import MS
 from naive_robots import Robots
 from ogm_core.grid_settings import GridSettings
-from ogm_core.sensor_models.hits import hits_near_by
+from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Pose
 
 BEAMS = 24
@@ -65,7 +65,7 @@ def end_of(k, r):
 
 def skipped_by_desk(messages, ranges):
     """Message numbers of the placed scans, in order, and which of their beams are no reading any more."""
-    desk = Desk(radii=RADII, mark_hits=hits_near_by(GridSettings()))
+    desk = Desk(radii=RADII, mark_hits=hits_at_robots(GridSettings()))
     for number, (robot, (kind, run, seq, stamp, *rest)) in enumerate(messages):
         ms = (stamp - T0) // MS
         if kind == "pose":

@@ -11,7 +11,7 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.robot_rules import RobotRules
 from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer, ScanSink
 from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.sensor_models.hits import hits_near_by
+from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Scan
 from ogm_services.commands.log_readers import LogReader
 from ogm_services.runtime.complaints import Complaints
@@ -39,7 +39,7 @@ class LogFeed:
         self.complaints = Complaints()
         self.sensors = SensorRules(settings.sensor_rules())
         self.robots = RobotRules(settings.robot_rules())
-        self._mark_hits = hits_near_by(settings.grid_settings())
+        self._mark_hits = hits_at_robots(settings.grid_settings())
         self._rules = settings.placing_rules()
         self._hold_out = hold_out
 

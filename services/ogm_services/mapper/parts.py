@@ -18,7 +18,7 @@ from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
-from ogm_core.sensor_models.hits import hits_near_by
+from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.overload import Overload
@@ -129,7 +129,7 @@ class Parts:
             limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
             stopping=lambda: queue.closed,
             robots_limit=limits.robots_bytes,
-            other_robots=OtherRobots(RobotRules(settings.robot_rules()), hits_near_by(grid_settings)),
+            other_robots=OtherRobots(RobotRules(settings.robot_rules()), hits_at_robots(grid_settings)),
         )
         """The worker's; what it has decided, any thread asks."""
         skip = skipping(placer.decided)

@@ -16,7 +16,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.queries.ray_kernel import cast_rays
-from ogm_core.sensor_models.hits import hits_near_by
+from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
@@ -36,7 +36,12 @@ def warm_up(settings: GridSettings) -> None:
     scratch = LiveMap(OccupancyGrid(small))
     scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
-    hits_near_by(small)(PlacedScan(scan, pose), np.zeros((1, 1, 3)), np.zeros(scan.ranges.size, np.bool_))
+    hits_at_robots(small)(
+        PlacedScan(scan, pose),
+        np.zeros((1, 8)),
+        np.zeros(scan.ranges.size),
+        np.zeros(scan.ranges.size, np.bool_),
+    )
     scratch.info()
     encode_png(scratch.snapshot())
 
