@@ -14,6 +14,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Pose
 
+SEED = 3
 BEAMS = 24
 APART = 1.2
 """How far apart the robots' ways are, m."""
@@ -28,7 +29,7 @@ def fleet(kind, seed):
     kinds = kind, rng.choice(KINDS), "quiet"
     entries = []
     for n, (robot, each) in enumerate(zip("abc", kinds, strict=True)):
-        journey, off = Journey(each, seed + n), rng.choice([0, 0, 0, 300, -700, 1500]) * MS
+        journey, off = Journey(each, seed + n), rng.choice([0, 0, 0, 0, 300, -700, 1500]) * MS
         for arrival, message, _ in journey.entries:
             if message[0] == "gone":
                 continue
@@ -80,8 +81,8 @@ def skipped_by_desk(messages, ranges):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_placer_skips_what_its_twin_skips(kind):
-    messages = fleet(kind, 0)
-    ranges = measured(messages, 0)
+    messages = fleet(kind, SEED)
+    ranges = measured(messages, SEED)
     readings = {number: [end_of(k, r) for k, r in enumerate(each)] for number, each in ranges.items()}
     twin = Robots(RADII, readings).play(messages)
     found, desk = skipped_by_desk(messages, ranges)
