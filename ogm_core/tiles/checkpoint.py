@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.forgetting import MapTime
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.aging import aged_revisions
 from ogm_core.tiles.copies import TileCopies, Tiles
 from ogm_core.tiles.store import TILE
 
@@ -61,11 +60,10 @@ class Checkpoint:
         Tiles that a map at revision 0 began with count as written after it.
         """
         written = self.touched > revision
-        of = aged_revisions(self.touched, self.copies.copied, self.state.time.ticks)
         tx, ty = np.nonzero(written)
         left, bottom = self.copies.rect.ix // TILE, self.copies.rect.iy // TILE
         for planes, here, rows in self.copies.find(self.copies.numbers[tx, ty]):
-            revisions = of[tx[here], ty[here]].tolist()
+            revisions = self.copies.of[tx[here], ty[here]].tolist()
             columns, up = (tx[here] + left).tolist(), (ty[here] + bottom).tolist()
             for x, y, last, row in zip(columns, up, revisions, rows.tolist(), strict=True):
                 yield KeptTile(x, y, last, {name: cells[row] for name, cells in planes.items()})
