@@ -158,6 +158,10 @@ def one_line(result, code):
         ("simulate --connect-timeout nan", "connect-timeout: 0 s or more"),
         ("simulate --fov 361", "at most 360 degrees are needed, got 361"),
         ("simulate --out run.jsonl", "--scans"),
+        (
+            "simulate --out run.json --scans 1",
+            "--out run.json: a name that ends in .jsonl, .jsonl.gz, .mcap is",
+        ),
         ("simulate --start 1", "--start: two numbers X,Y in metres are needed, got '1'"),
         ("simulate --start 1,2,3", "--start: two numbers X,Y"),
         ("simulate --start 1,inf", "--start: two numbers X,Y"),

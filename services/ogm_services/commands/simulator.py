@@ -17,7 +17,7 @@ from ogm_client.errors import ClientError, NobodyAnswered, NotHeard
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.errors import BadRecording, DiskFull, OgmError
-from ogm_core.logs.recordings import Recorded, RecordedPose, RecordedScan, write_jsonl
+from ogm_core.logs.recordings import JSON_SUFFIXES, Recorded, RecordedPose, RecordedScan, write_jsonl
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
 from ogm_core.simulation.worlds import World, dump_world
@@ -121,13 +121,19 @@ def record(options: SimulatorOptions, out: Path) -> None:
             yield from simulation.messages(step, round(step * period), run)
 
     try:
-        if out.suffix.lower() == MCAP_SUFFIX:
-            write_mcap(out, messages())
-        else:
-            write_jsonl(out, messages())
+        _write(out, messages())
     except (BadRecording, DiskFull) as error:
         raise type(error)(f"--out {error}") from error
     typer.echo(f"{out}: {options.scans} scans each of {', '.join(simulation.robots)}")
+
+
+def _write(out: Path, messages: Iterator[Recorded]) -> None:
+    if out.suffix.lower() == MCAP_SUFFIX:
+        write_mcap(out, messages)
+    elif out.name.lower().endswith(JSON_SUFFIXES):
+        write_jsonl(out, messages)
+    else:
+        raise BadRecording(f"{out}: a name that ends in {', '.join((*JSON_SUFFIXES, MCAP_SUFFIX))} is needed")
 
 
 def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
