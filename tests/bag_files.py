@@ -1,5 +1,6 @@
-"""Bags of a robot that drives along x, written by rosbags from messages that naive_cdr makes."""
+"""Bags of a robot that drives along x, written by rosbags from messages that naive_cdr makes, and read."""
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -7,6 +8,9 @@ from rosbags.typesys import Stores, get_typestore
 
 import naive_cdr
 from gateway_desk import MS, RANGES, planar
+from ogm_core.logs.recorded import RecordedPose, RecordedScan
+from ogm_services.ros2.bag_reader import BagOptions, BagReader
+from ogm_services.settings.settings import Settings
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -51,9 +55,9 @@ def drive(count=6, parent="odom", frame="laser"):
             yield scan(stamp - 50 * MS, frame, time=stamp)
 
 
-def write_bag(path, said, plugin=StoragePlugin.SQLITE3, version=9):
+def write_bag(path, said, plugin=StoragePlugin.SQLITE3, version=9, writer=None):
     """A folder of rosbag2, with its messages as they are given."""
-    with Writer(path, version=version, storage_plugin=plugin) as writer:
+    with writer or Writer(path, version=version, storage_plugin=plugin) as writer:
         connections = {}
         for message in said:
             key = message.topic, message.type
@@ -61,3 +65,13 @@ def write_bag(path, said, plugin=StoragePlugin.SQLITE3, version=9):
                 connections[key] = writer.add_connection(message.topic, message.type, typestore=STORE)
             writer.write(connections[key], message.time, message.payload)
     return path
+
+
+def read_bag(path, options=None, **others):
+    """What a BagReader makes of a bag, and the reader."""
+    reader = BagReader(path, options or BagOptions(), Settings(), **others)
+    with reader:
+        found = list(reader)
+    poses = [each.message for each in found if isinstance(each, RecordedPose)]
+    scans = [each for each in found if isinstance(each, RecordedScan)]
+    return SimpleNamespace(reader=reader, found=found, poses=poses, scans=scans)

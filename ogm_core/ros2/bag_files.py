@@ -1,34 +1,38 @@
 """Bags as files: rosbag2's folders and their data files (sqlite3, MCAP), and the .bag files of ROS 1.
 
-rosbags reads them; whatever it says of one that is damaged becomes one line.
+rosbags reads them, and McapFile those of MCAP, which it reads even if they were cut short or hold more than
+ROS's messages; whatever is said of one that is damaged becomes one line.
 """
 
 import heapq
-import re
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import SimpleNamespace, TracebackType
 from typing import Any, NamedTuple, Self
 
 from ogm_core.errors import BadRecording, MissingExtra, cut, printable
 from ogm_core.ros2 import cdr
+from ogm_core.ros2.bag_folder import DATA_SUFFIXES, bag_folder
+from ogm_core.ros2.mcap_file import McapChannel, McapFile
 
-METADATA = "metadata.yaml"
-DATA_SUFFIXES = (".db3", ".mcap")
 BAG_SUFFIXES = (".bag", *DATA_SUFFIXES)
 _MAGIC = {b"#ROSBAG V": ".bag", b"SQLite format 3\0": ".db3", b"\x89MCAP0\r\n": ".mcap"}
 _KINDS = {".bag": "ROS 1 bag", ".db3": "rosbag2, sqlite3", ".mcap": "rosbag2, MCAP"}
 _OLD_NAMES = {"tf/msg/tfMessage": cdr.TF_MESSAGE}
 """What types were called before tf2."""
+_CDR, _ROS1 = "cdr", "ros1"
+ENCODINGS = (_CDR, _ROS1)
+"""How messages of ROS are written."""
 
 
 class BagTopic(NamedTuple):
-    """A topic of a bag, with the number of its messages."""
+    """A topic of a bag, with the number of its messages; `encoding` is cdr or ros1, if they can be read."""
 
     name: str
     type: str
     messages: int
+    encoding: str = _CDR
 
 
 class BagMessage(NamedTuple):
@@ -56,6 +60,7 @@ class BagFile:
 
     `kind` says what it is, `size` is that of its data files in bytes, `notes` what there is to say of how it
     is read. `start` and `end` are when its first and its last message were written, ns; 0 if it has none.
+    `others` are topics whose messages are not those of ROS, and cannot be read.
 
     Raises:
         BadRecording: on entering, it cannot be opened or is none; while messages are read, it is damaged.
@@ -66,8 +71,8 @@ class BagFile:
         self.path = path
         self.kind, self.size, self.start, self.end = "", 0, 0, 0
         self.topics: tuple[BagTopic, ...] = ()
+        self.others: tuple[BagTopic, ...] = ()
         self.notes: list[str] = []
-        self._ros1 = False
         self._readers: list[Any] = []
         self._opening = ExitStack()
 
@@ -98,44 +103,39 @@ class BagFile:
         Raises:
             BadCdr: it is damaged.
         """
-        if not self._ros1:
+        if message.topic.encoding == _CDR:
             return message.payload
         return cdr.from_ros1(message.payload, message.topic.type)
 
     def _open(self, opening: ExitStack) -> None:
-        files = self._data_files()
+        files, packed = self._data_files()
         self.size = sum(file.stat().st_size for file in files)
-        self.kind = _KINDS[files[0].suffix]
-        self._ros1 = files[0].suffix == ".bag"
+        self.kind = _KINDS[next(kind for kind in files[0].suffixes[::-1] if kind in _KINDS)]
         for file in files:
             wal = file.with_name(f"{file.name}-wal")
             if wal.is_file() and wal.stat().st_size:
                 self.notes.append(
                     f"{wal.name}: what it holds is not read: open {file.name} with sqlite3 once"
                 )
-        whole = self.path / METADATA
-        if self.path.is_dir() and whole.is_file():
-            try:
-                self._readers = [self._opened(self.path, opening)]
-            except BadRecording as error:
-                self.notes.append(f"{METADATA} is of no use, its data files are read alone ({_cause(error)})")
-        elif self.path.is_dir():
-            self.notes.append(f"there is no {METADATA}: its data files are read alone")
-        if not self._readers:
+        if packed:
+            self._readers = [self._opened(self.path, opening)]
+        else:
             self._readers = [self._opened(file, opening) for file in files]
-        self.topics = self._listed()
+        found = self._listed()
+        self.topics = tuple(topic for topic in found if topic.encoding in ENCODINGS)
+        self.others = tuple(topic for topic in found if topic not in self.topics)
+        if self.others:
+            named = ", ".join(f"{topic.name} ({topic.messages}, {topic.encoding})" for topic in self.others)
+            self.notes.append(f"not read, as they are no messages of ROS: {cut(printable(named))}")
 
-    def _data_files(self) -> list[Path]:
-        """The data files of the bag; of a folder those of one kind."""
+    def _data_files(self) -> tuple[tuple[Path, ...], bool]:
+        """The data files of the bag, all of one kind, and whether they are packed."""
         path = self.path
         try:
             if path.is_dir():
-                found = [each for each in path.iterdir() if each.suffix in DATA_SUFFIXES and each.is_file()]
-                if not found and (path / METADATA).is_file():
-                    raise BadRecording(f"{path}: the folder of a bag without its data files (.db3, .mcap)")
-                if not found:
-                    raise BadRecording(f"{path}: a folder: give a log that is in it")
-                return sorted((each for each in found if each.suffix == found[0].suffix), key=_by_number)
+                folder = bag_folder(path)
+                self.notes += folder.notes
+                return folder.files, folder.packed
             with path.open("rb") as file:
                 head = file.read(16)
         except OSError as error:
@@ -150,9 +150,13 @@ class BagFile:
                 f"{path}: {_KINDS[suffix]} by its content, but not by its name: rename it to "
                 f"{path.stem}{suffix}"
             )
-        return [path]
+        return (path,), False
 
     def _opened(self, path: Path, opening: ExitStack) -> Any:  # noqa: ANN401 - one of rosbags' readers
+        if path.suffix == ".mcap" and path.is_file():
+            mcap = opening.enter_context(closing(McapFile(path)))
+            self.notes += [mcap.cut_short] if mcap.cut_short else []
+            return mcap
         rosbags = _rosbags()
         try:
             reader = rosbags.ros1(path) if path.suffix == ".bag" and path.is_file() else rosbags.ros2(path)
@@ -165,49 +169,45 @@ class BagFile:
         return reader
 
     def _listed(self) -> tuple[BagTopic, ...]:
-        counts: dict[tuple[str, str], int] = {}
+        counts: dict[tuple[str, str, str], int] = {}
         for reader in self._readers:
             for connection in reader.connections:
                 key = _key(connection)
                 counts[key] = counts.get(key, 0) + connection.msgcount
-        return tuple(BagTopic(name, kind, count) for (name, kind), count in sorted(counts.items()))
+        return tuple(BagTopic(*key[:2], count, key[2]) for key, count in sorted(counts.items()))
 
     def _messages_of(self, reader: Any, topics: Collection[BagTopic]) -> Iterator[BagMessage]:  # noqa: ANN401
-        wanted = {(topic.name, topic.type): topic for topic in topics}
+        wanted = {(topic.name, topic.type, topic.encoding): topic for topic in topics}
         connections = [each for each in reader.connections if _key(each) in wanted]
         if not connections:
             return
         try:
             for connection, stamp, payload in reader.messages(connections):
                 yield BagMessage(wanted[_key(connection)], stamp, bytes(payload))
+        except BadRecording:
+            raise
         except Exception as error:
             raise self._damaged(self.path, error) from error
 
     def _damaged(self, path: Path, error: Exception) -> BadRecording:
-        if "end magic" in str(error):
-            return BadRecording(f"{path}: an MCAP that was cut short: mcap recover makes a whole one of it")
         return BadRecording(f"{path}: a bag that is damaged, or of a kind that is not read ({_said(error)})")
 
 
-def _key(connection: Any) -> tuple[str, str]:  # noqa: ANN401 - a tuple of rosbags
+def _key(connection: Any) -> tuple[str, str, str]:  # noqa: ANN401 - a tuple of rosbags, or McapChannel
+    """Its topic, type and encoding."""
     kind = str(connection.msgtype)
-    return str(connection.topic), _OLD_NAMES.get(kind, kind)
-
-
-def _by_number(file: Path) -> tuple[int, str]:
-    """Where a data file stands among those of a bag that was split: bag_10 after bag_9."""
-    number = re.search(r"(\d+)$", file.stem)
-    return (int(number[1]) if number else -1, file.name)
+    if kind.count("/") == 1:
+        kind = kind.replace("/", "/msg/")
+    if isinstance(connection, McapChannel):
+        encoding = connection.encoding
+    else:
+        encoding = getattr(connection.ext, "serialization_format", _ROS1)
+    return str(connection.topic), _OLD_NAMES.get(kind, kind), str(encoding)
 
 
 def _said(error: Exception) -> str:
     text = " ".join(printable(str(error)).split()) or "no reason is given"
     return f"{type(error).__name__}: {cut(text)}"
-
-
-def _cause(error: BadRecording) -> str:
-    cause = error.__cause__
-    return _said(cause) if isinstance(cause, Exception) else str(error)
 
 
 def _closed(reader: Any) -> None:  # noqa: ANN401 - one of rosbags' readers

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+import mcap_bytes as mcap
 from bag_files import drive, mount, scan, write_bag
 from ogm_core.errors import BadRecording
 from ogm_core.logs.recordings import RecordedPose, write_jsonl
@@ -40,6 +41,18 @@ def test_what_is_missing_for_a_map_is_said(tmp_path, capsys):
     assert "missing for a map: holds no tf, so nothing says where its scans were taken" in shown
     run_info(write_bag(tmp_path / "two", [mount(), *drive(), scan(0, topic="/rear")]), as_json=False)
     assert "say which to map by --scan-topic: /rear (1), /scan (5)" in capsys.readouterr().out
+
+
+def test_channels_that_are_not_of_ros_are_listed_too(tmp_path, capsys):
+    """With how they are written, as what a map can be made of is listed without."""
+    names = mcap.schema(1, "sensor_msgs/msg/LaserScan") + mcap.channel(1, 1, "/scan")
+    names += mcap.schema(2, "foxglove.LaserScan") + mcap.channel(2, 2, "/other", "json")
+    (tmp_path / "a.mcap").write_bytes(mcap.whole(names, mcap.message(2, 5, b"{}")))
+    run_info(tmp_path / "a.mcap", as_json=False)
+    shown = capsys.readouterr().out
+    assert "         0  /scan  sensor_msgs/msg/LaserScan\n" in shown
+    assert "         1  /other  foxglove.LaserScan, json\n" in shown
+    assert "missing for a map: holds no LaserScan; there are /other (foxglove.LaserScan, json)" in shown
 
 
 def test_long_lists_end_in_a_screen(tmp_path, capsys):

@@ -10,7 +10,7 @@ import typer
 
 from ogm_core.errors import BadRecording, printable
 from ogm_core.logs.recorded import RecordedScan
-from ogm_core.ros2.bag_files import BagFile, is_bag
+from ogm_core.ros2.bag_files import ENCODINGS, BagFile, is_bag
 from ogm_services.commands.log_readers import AS_IT_SAYS, log_reader
 from ogm_services.commands.recording_info import of_recording
 from ogm_services.ros2.bag_topics import Edge, edges_in
@@ -44,7 +44,7 @@ def _of_bag(file: Path) -> dict[str, Any]:
             "kind": bag.kind,
             "bytes": bag.size,
             "written": {"from_ns": bag.start, "to_ns": bag.end},
-            "topics": [topic._asdict() for topic in bag.topics],
+            "topics": [topic._asdict() for topic in sorted(bag.topics + bag.others)],
             "frames": {
                 namespace: {child: edge._asdict() for child, edge in sorted(edges.items())}
                 for namespace, edges in edges_in(bag).items()
@@ -82,7 +82,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
             seconds = (span["to_ns"] - span["from_ns"]) / 1e9
             lines.append(f"{what}: {seconds:.1f} s, from {_time(span['from_ns'])}")
     topics = [
-        f"  {topic['messages']:>8}  {printable(topic['name'])}  {printable(topic['type'])}"
+        f"  {topic['messages']:>8}  {printable(topic['name'])}  {printable(_kind(topic))}"
         for topic in found.get("topics", ())
     ]
     lines += _cut(["topics:", *topics]) if topics else []
@@ -94,6 +94,12 @@ def _lines(found: dict[str, Any]) -> list[str]:
         lines += _cut([f"  {count:>8}  {source}" for source, count in found["messages"].items()])
     lines += [f"note: {note}" for note in found.get("notes", ())]
     return [*lines, f"missing for a map: {found['missing'] or 'nothing'}"]
+
+
+def _kind(topic: dict[str, Any]) -> str:
+    """What a topic's messages are, and how they are written if that is not ROS's way."""
+    encoding = topic["encoding"]
+    return str(topic["type"]) if encoding in ENCODINGS else f"{topic['type'] or 'no type'}, {encoding}"
 
 
 def _tree(edges: dict[str, Edge]) -> list[str]:

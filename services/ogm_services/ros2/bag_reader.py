@@ -120,7 +120,7 @@ class BagReader:
     def _begin(self) -> None:
         bag = self._bag
         self.size = bag.size
-        self._scan_topics = chosen_scans(self.path, bag.topics, self._options.scan_topics)
+        self._scan_topics = chosen_scans(bag, self._options.scan_topics)
         names = tuple(topic.name for topic in self._scan_topics)
         options = replace(self._options.ros2, scan_topics=names)
         if self._options.fixed_frame is not None:

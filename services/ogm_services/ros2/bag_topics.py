@@ -1,7 +1,6 @@
 """Topics of a bag: which of them make a map, and what to say where they do not."""
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import NamedTuple
 
 from ogm_core.errors import BadCdr, BadRecording, cut, printable
@@ -34,15 +33,18 @@ def edges_in(bag: BagFile) -> dict[str, dict[str, Edge]]:
     return found
 
 
-def chosen_scans(path: Path, topics: tuple[BagTopic, ...], globs: tuple[str, ...]) -> tuple[BagTopic, ...]:
+def chosen_scans(bag: BagFile, globs: tuple[str, ...]) -> tuple[BagTopic, ...]:
     """The topics of a bag whose scans are to be mapped.
 
     Raises:
         BadRecording: there are none, or several of which none was asked for; the text names what there is.
     """
-    scans = [topic for topic in topics if topic.type == cdr.LASER_SCAN and topic.messages]
+    path = bag.path
+    scans = [topic for topic in bag.topics if topic.type == cdr.LASER_SCAN and topic.messages]
     if not scans:
-        there = listed(f"{topic.name} ({topic.type})" for topic in topics if topic.messages)
+        ours = [f"{topic.name} ({topic.type})" for topic in bag.topics if topic.messages]
+        others = [f"{topic.name} ({topic.type}, {topic.encoding})" for topic in bag.others if topic.messages]
+        there = listed(ours + others)
         raise BadRecording(
             f"{path}: holds no LaserScan" + (f"; there are {there}" if there else ", and nothing")
         )

@@ -1,0 +1,144 @@
+"""Bags that were cut, mixed, compressed, or hold more than ROS: read as far as they are clear."""
+
+import shutil
+
+import pytest
+import yaml
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+import mcap_bytes as mcap
+from bag_files import STORE, drive, mount, read_bag, write_bag
+from ogm_core.errors import BadRecording
+from ogm_core.ros2.bag_files import BagFile
+
+SAID = [mount(), *drive(12)]
+
+
+def by_hand(path, said=SAID, more=b"", profile="ros2", compression="zstd", convert=bytes):
+    """A lone MCAP with a chunk for every message."""
+    numbers = {topic: n for n, topic in enumerate(dict.fromkeys(each.topic for each in said), 1)}
+    kinds = {each.topic: each.type for each in said}
+    names = b"".join(
+        mcap.schema(n, kinds[topic].replace("/msg/", "/") if profile == "ros1" else kinds[topic])
+        + mcap.channel(n, n, topic, "ros1" if profile == "ros1" else "cdr")
+        for topic, n in numbers.items()
+    )
+    chunks = [
+        mcap.chunk(
+            mcap.message(numbers[each.topic], each.time, convert(each.payload, each.type)), compression
+        )
+        for each in said
+    ]
+    path.write_bytes(mcap.whole(names + more, *chunks, profile=profile))
+    return path
+
+
+def plain(payload, _):
+    return payload
+
+
+def ros1(payload, kind):
+    return bytes(STORE.cdr_to_ros1(payload, kind))
+
+
+def as_read(path):
+    return [(each.robot, each.message) for each in read_bag(path).found]
+
+
+def seen(bag):
+    """What can be compared of messages, whose ranges are arrays."""
+    return [(each.message.stamp, getattr(each.message, "pose", None)) for each in bag.found]
+
+
+def test_a_cut_mcap_is_a_bag_as_far_as_it_goes(tmp_path):
+    whole = by_hand(tmp_path / "whole.mcap", convert=plain)
+    expected = seen(read_bag(whole))
+    data = whole.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    cut = read_bag(tmp_path / "cut.mcap")
+    assert 6 < len(cut.found) < len(expected)
+    assert seen(cut) == expected[: len(cut.found)]
+    assert f"of {len(data) * 2 // 3} bytes" in cut.reader.doubt
+
+
+def test_the_last_part_of_a_split_bag_may_be_cut(tmp_path):
+    """As of a robot that lost its power while it recorded: no metadata.yaml, no end."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    by_hand(folder / "bag_0.mcap", SAID[:13], convert=plain)
+    last = by_hand(folder / "bag_1.mcap", SAID[13:], convert=plain)
+    last.write_bytes(last.read_bytes()[:-200])
+    found = read_bag(folder)
+    assert len(found.scans) >= 9
+    assert "there is no metadata.yaml: its data files are read alone" in found.reader.doubt
+    assert "bag_1.mcap was cut short" in found.reader.doubt
+
+
+def test_channels_that_are_not_of_ros_are_passed_over_and_named(tmp_path):
+    more = mcap.schema(90, "foxglove.LaserScan") + mcap.channel(90, 90, "/scan_json", "json")
+    more += mcap.message(90, 5, b"{}") * 3 + mcap.channel(91, 0, "/imu", "protobuf")
+    expected = seen(read_bag(by_hand(tmp_path / "ros.mcap", convert=plain)))
+    mixed = read_bag(by_hand(tmp_path / "mixed.mcap", more=more, convert=plain))
+    assert seen(mixed) == expected
+    assert "not read, as they are no messages of ROS: /imu (0, protobuf), /scan_json (3, json)" in (
+        mixed.reader.doubt
+    )
+    with BagFile(tmp_path / "mixed.mcap") as bag:
+        assert [topic.name for topic in bag.others] == ["/imu", "/scan_json"]
+        assert [topic.name for topic in bag.topics] == ["/scan", "/tf", "/tf_static"]
+    only = by_hand(tmp_path / "json.mcap", said=SAID[:2], more=more, convert=plain)
+    with pytest.raises(BadRecording, match=r"no LaserScan; .*/scan_json \(foxglove.LaserScan, json\)"):
+        read_bag(only)
+
+
+def test_an_mcap_of_ros_1(tmp_path):
+    """As `mcap convert` makes it of a .bag; and any other profile whose messages are those of ROS 2."""
+    expected = seen(read_bag(by_hand(tmp_path / "two.mcap", convert=plain)))
+    assert seen(read_bag(by_hand(tmp_path / "one.mcap", profile="ros1", convert=ros1))) == expected
+    assert seen(read_bag(by_hand(tmp_path / "none.mcap", profile="", convert=plain))) == expected
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_compressed_bags(tmp_path, plugin, mode):
+    """Files as a whole, or message by message: as metadata.yaml says."""
+    expected = seen(read_bag(write_bag(tmp_path / "plain", SAID, plugin)))
+    packed = tmp_path / "packed"
+    writer = Writer(packed, version=8, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    write_bag(packed, SAID, writer=writer)
+    assert seen(read_bag(packed)) == expected
+    if mode is CompressionMode.FILE:
+        (packed / "metadata.yaml").unlink()
+        with pytest.raises(BadRecording, match="its data files are compressed, and no metadata"):
+            read_bag(packed)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_of_a_folder_the_files_are_read_that_its_metadata_names(tmp_path, plugin):
+    folder = write_bag(tmp_path / "bag", SAID, plugin)
+    expected = seen(read_bag(folder))
+    (other,) = (f for f in write_bag(tmp_path / "other", SAID[:5], plugin).iterdir() if f.suffix != ".yaml")
+    shutil.copy(other, folder)
+    found = read_bag(folder)
+    assert seen(found) == expected
+    assert f"not read, as metadata.yaml does not name them: {other.name}" in found.reader.doubt
+    metadata = folder / "metadata.yaml"
+    told = yaml.safe_load(metadata.read_text())
+    told["rosbag2_bagfile_information"]["relative_file_paths"].append("gone_1.db3")
+    metadata.write_text(yaml.safe_dump(told))
+    assert "missing, though metadata.yaml names them: gone_1.db3" in read_bag(folder).reader.doubt
+    metadata.unlink()
+    with pytest.raises(BadRecording, match=r"data files of several bags \(bag\..*, other\..*\): give one"):
+        read_bag(folder)
+
+
+def test_counts_of_a_metadata_that_is_wrong_mislead_nobody(tmp_path):
+    folder = write_bag(tmp_path / "bag", SAID)
+    expected = seen(read_bag(folder))
+    metadata = folder / "metadata.yaml"
+    told = yaml.safe_load(metadata.read_text())
+    for topic in told["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        topic["message_count"] = 0
+    metadata.write_text(yaml.safe_dump(told))
+    assert seen(read_bag(folder)) == expected
