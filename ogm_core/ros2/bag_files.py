@@ -13,8 +13,10 @@ from typing import Any, NamedTuple, Self
 
 from ogm_core.errors import BadRecording, MissingExtra, cut, printable
 from ogm_core.ros2 import cdr
+from ogm_core.ros2.bag_channel import BagChannel
 from ogm_core.ros2.bag_folder import DATA_SUFFIXES, bag_folder
-from ogm_core.ros2.mcap_file import McapChannel, McapFile
+from ogm_core.ros2.cut_db3 import CutDb3, bytes_missing
+from ogm_core.ros2.mcap_file import McapFile
 
 BAG_SUFFIXES = (".bag", *DATA_SUFFIXES)
 _MAGIC = {b"#ROSBAG V": ".bag", b"SQLite format 3\0": ".db3", b"\x89MCAP0\r\n": ".mcap"}
@@ -123,7 +125,7 @@ class BagFile:
             self._readers = [self._opened(file, opening) for file in files]
         found = self._listed()
         self.topics = tuple(topic for topic in found if topic.encoding in ENCODINGS)
-        self.others = tuple(topic for topic in found if topic not in self.topics)
+        self.others = tuple(topic for topic in found if topic.encoding not in ENCODINGS)
         if self.others:
             named = ", ".join(f"{topic.name} ({topic.messages}, {topic.encoding})" for topic in self.others)
             self.notes.append(f"not read, as they are no messages of ROS: {cut(printable(named))}")
@@ -153,10 +155,11 @@ class BagFile:
         return (path,), False
 
     def _opened(self, path: Path, opening: ExitStack) -> Any:  # noqa: ANN401 - one of rosbags' readers
-        if path.suffix == ".mcap" and path.is_file():
-            mcap = opening.enter_context(closing(McapFile(path)))
-            self.notes += [mcap.cut_short] if mcap.cut_short else []
-            return mcap
+        cut_db3 = path.suffix == ".db3" and path.is_file() and bytes_missing(path)
+        if cut_db3 or (path.suffix == ".mcap" and path.is_file()):
+            found = opening.enter_context(closing(CutDb3(path) if cut_db3 else McapFile(path)))
+            self.notes += [found.cut_short] if found.cut_short else []
+            return found
         rosbags = _rosbags()
         try:
             reader = rosbags.ros1(path) if path.suffix == ".bag" and path.is_file() else rosbags.ros2(path)
@@ -193,12 +196,12 @@ class BagFile:
         return BadRecording(f"{path}: a bag that is damaged, or of a kind that is not read ({_said(error)})")
 
 
-def _key(connection: Any) -> tuple[str, str, str]:  # noqa: ANN401 - a tuple of rosbags, or McapChannel
+def _key(connection: Any) -> tuple[str, str, str]:  # noqa: ANN401 - a tuple of rosbags, or BagChannel
     """Its topic, type and encoding."""
     kind = str(connection.msgtype)
     if kind.count("/") == 1:
         kind = kind.replace("/", "/msg/")
-    if isinstance(connection, McapChannel):
+    if isinstance(connection, BagChannel):
         encoding = connection.encoding
     else:
         encoding = getattr(connection.ext, "serialization_format", _ROS1)

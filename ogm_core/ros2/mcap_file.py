@@ -5,25 +5,16 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from ogm_core.errors import BadRecording
 from ogm_core.ros2 import mcap_records as records
+from ogm_core.ros2.bag_channel import BagChannel
 from ogm_core.ros2.mcap_records import DamagedRecord
 from ogm_core.units import MEBIBYTE
 
 _RUN = MEBIBYTE
 """Records outside of chunks are read in runs of about so many bytes."""
-
-
-class McapChannel(NamedTuple):
-    """A channel: `encoding` is that of its messages, as cdr, ros1 or json, `msgtype` their schema."""
-
-    id: int
-    topic: str
-    msgtype: str
-    encoding: str
-    msgcount: int
 
 
 @dataclass(slots=True)
@@ -73,16 +64,16 @@ class McapFile:
             raise BadRecording(f"{path}: a damaged MCAP: {error}; mcap recover saves what it can") from error
 
     @property
-    def connections(self) -> tuple[McapChannel, ...]:
+    def connections(self) -> tuple[BagChannel, ...]:
         """Its channels."""
         return tuple(
-            McapChannel(
+            BagChannel(
                 each.id, each.topic, self._schemas.get(each.schema, ""), each.encoding, self._counts[each.id]
             )
             for each in self._channels.values()
         )
 
-    def messages(self, channels: Collection[McapChannel]) -> Iterator[tuple[McapChannel, int, bytes]]:
+    def messages(self, channels: Collection[BagChannel]) -> Iterator[tuple[BagChannel, int, bytes]]:
         """The messages of some channels, by log time, which is the number; of equal ones in file order.
 
         Raises:
@@ -91,7 +82,7 @@ class McapFile:
         wanted, number = {channel.id: channel for channel in channels}, 0
         waiting: list[tuple[int, int, records.Message]] = []
 
-        def told() -> tuple[McapChannel, int, bytes]:
+        def told() -> tuple[BagChannel, int, bytes]:
             message = heapq.heappop(waiting)[2]
             return wanted[message.channel], message.time, message.payload
 

@@ -201,7 +201,8 @@ def test_what_is_no_bag_is_told_in_a_line(tmp_path):
     (data,) = whole.glob("*.db3")
     content = data.read_bytes()
     cases = {
-        "half.db3": (content[: len(content) // 2], "damaged"),
+        "head.db3": (content[:8192], "a database that was cut short before its first message"),
+        "pieces.db3": (content[:4096] + b"\xff" * (len(content) - 4096), "damaged"),
         "text.bag": (b"no bag at all", "no bag, in spite of its name: it begins with b'no bag a'"),
         "empty.mcap": (b"", "empty, holds no scan"),
         "old.bag": (b"#ROSBAG V1.2\n" + bytes(100), "of a kind that is not read"),

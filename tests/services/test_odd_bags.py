@@ -61,6 +61,24 @@ def test_a_cut_mcap_is_a_bag_as_far_as_it_goes(tmp_path):
     assert f"of {len(data) * 2 // 3} bytes" in cut.reader.doubt
 
 
+def test_half_a_db3_is_a_bag_as_far_as_it_goes(tmp_path):
+    """Whatever its indices, which may lie past its end, and in whichever order its messages were written."""
+    said = [*SAID[13:], *SAID[:13]]
+    whole = write_bag(tmp_path / "whole", [mount(), *drive(400)])
+    (data,) = whole.glob("*.db3")
+    expected, content = seen(read_bag(whole)), data.read_bytes()
+    for share in (0.3, 0.6, 0.9):
+        size = int(len(content) * share)
+        (tmp_path / "half.db3").write_bytes(content[:size])
+        half = read_bag(tmp_path / "half.db3")
+        assert len(expected) * (share - 0.25) < len(half.found) < len(expected) * (share + 0.1)
+        assert seen(half) == expected[: len(half.found)]
+        assert f"messages, {size} of {len(content)} bytes" in half.reader.doubt
+    (data,) = write_bag(tmp_path / "mixed", said + [mount()] * 99).glob("*.db3")
+    (tmp_path / "mixed.db3").write_bytes(data.read_bytes()[:-4096])
+    assert seen(read_bag(tmp_path / "mixed.db3")) == seen(read_bag(tmp_path / "mixed"))
+
+
 def test_the_last_part_of_a_split_bag_may_be_cut(tmp_path):
     """As of a robot that lost its power while it recorded: no metadata.yaml, no end."""
     folder = tmp_path / "bag"
