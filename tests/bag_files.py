@@ -67,9 +67,9 @@ def write_bag(path, said, plugin=StoragePlugin.SQLITE3, version=9, writer=None):
     return path
 
 
-def read_bag(path, options=None, **others):
+def read_bag(path, options=None, settings=None, **others):
     """What a BagReader makes of a bag, and the reader."""
-    reader = BagReader(path, options or BagOptions(), Settings(), **others)
+    reader = BagReader(path, options or BagOptions(), settings or Settings(), **others)
     with reader:
         found = list(reader)
     poses = [each.message for each in found if isinstance(each, RecordedPose)]

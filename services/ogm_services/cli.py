@@ -19,6 +19,7 @@ from ogm_services.commands.erase import erase
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
+from ogm_services.commands.topic_flags import TopicFlags
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
@@ -265,6 +266,7 @@ def replay(
     log: Log,
     network: NetworkFlags,
     log_flags: LogFlags,
+    topics: TopicFlags,
     bag: BagFlags,
     logging: LoggingFlags,
     config: ConfigFile = None,
@@ -282,7 +284,7 @@ def replay(
         with loading():
             from ogm_services.commands.log_readers import ReadAs
             from ogm_services.commands.replay import run_replay
-        read_as = ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options())
+        read_as = ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics))
         run_replay(log, settings, speed=factor, read_as=read_as)
 
 
@@ -296,6 +298,7 @@ def build(
     ],
     map_flags: MapFlags,
     log_flags: LogFlags,
+    topics: TopicFlags,
     bag: BagFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
@@ -328,7 +331,7 @@ def build(
             log,
             out,
             settings,
-            read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options()),
+            read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics)),
             hold_out=hold_out,
             world=world,
             figure=figure,

@@ -144,15 +144,6 @@ def test_damaged_messages_are_counted(tmp_path):
     assert "/scan: bad_cdr: payload: 11 bytes are not a sensor_msgs/msg/LaserScan" in bag.reader.doubt
 
 
-def test_poses_of_a_topic(tmp_path):
-    """The bag of a robot without tf, whose poses a topic tells."""
-    bag = write_bag(tmp_path / "bag", [scan(at(1))])
-    with pytest.raises(BadRecording, match=r"holds no tf, so nothing says where its scans were taken$"):
-        read(bag)
-    with pytest.raises(BadRecording, match="--pose-topic /pose: no poses come from it; there are none"):
-        read(bag, BagOptions(Ros2Options(pose_topics=("/pose",))))
-
-
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
 def test_data_files_are_read_alone(tmp_path, plugin):
     whole = write_bag(tmp_path / "drive.bag", [mount(), *drive()], plugin)

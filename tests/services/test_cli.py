@@ -26,7 +26,10 @@ NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"
 MAPPER_FLAGS = "--data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
-LOG_FLAGS = "--range-max --robot --odometry --scan-topic --pose-topic --fixed-frame --mount --scan-delay"
+LOG_FLAGS = (
+    "--range-max --robot --odometry --scan-topic --cloud-topic --z-band --bins --pose-topic --fixed-frame "
+    "--mount --scan-delay"
+)
 FLAGS = {
     "demo": f"--world --start --duration --out --robot --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
@@ -227,7 +230,11 @@ def one_line(result, code):
         ("build x.log --out d --scan-delay nan", "--scan-delay: -10 to 10 s, got nan"),
         ("build x.log --out d --scan-topic scan", "'scan': names of topics begin with /"),
         ("build x.log --out d --pose-topic /p --fixed-frame map", "--fixed-frame: it is for poses of tf"),
-        ("build x.log --out d --scan-delay 1", "x.log: --scan-topic, --fixed-frame, --mount"),
+        ("build x.log --out d --scan-delay 1", "x.log: --scan-topic, --cloud-topic, --pose-topic"),
+        (
+            "build . --out d --bins 9",
+            "--z-band, --bins: they are for clouds, so --cloud-topic",
+        ),
         ("build . --out d --odometry", ".: --odometry is for CARMEN logs; --fixed-frame odom"),
         ("get", "NAME"),
         ("get map.gif -o x --url http://127.0.0.1:9", "map.gif"),

@@ -89,7 +89,8 @@ def log_reader(
         )
     if read_as.bag is not None:
         raise BadRecording(
-            f"{log}: --scan-topic, --fixed-frame, --mount, --scan-delay and --pose-topic are for bags"
+            f"{log}: --scan-topic, --cloud-topic, --pose-topic, --mount, --scan-delay and --fixed-frame are "
+            "for bags"
         )
     if recording:
         if read_as.odometry:

@@ -1,14 +1,13 @@
 """The command `ogm ros2` and its flags; what it does is in `ros2`, which is loaded when it runs."""
 
-import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ogm_core.errors import BadInput, BadSetting
-from ogm_services.commands.bag_flags import mount_of
+from ogm_services.commands.topic_flags import TOPICS, TopicFlags
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
 from ogm_services.settings.flags import (
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from ogm_services.ros2.options import Ros2Options
 
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
-_ROBOTS, _TOPICS, _PUBLISHED = "Robots", "Topics", "Map for robots"
+_ROBOTS, _PUBLISHED = "Robots", "Map for robots"
 
 
 @dataclass(frozen=True)
@@ -81,93 +80,37 @@ class WhereFlags:
 
 
 @dataclass(frozen=True)
-class TopicFlags:
-    """Flags of which topics are read, and how."""
+class FrameFlags:
+    """Flags of what the frames of robots are called, and how long they hold."""
 
-    scan_topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB", help="LaserScans to map (repeatable; default: *, all).", rich_help_panel=_TOPICS
-        ),
-    ] = None
-    cloud_topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB", help="PointCloud2s to map as scans (repeatable).", rich_help_panel=_TOPICS
-        ),
-    ] = None
-    z_band: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MIN,MAX",
-            help="Heights above the base between which points of clouds count, m (default: 0.1,1.5).",
-            rich_help_panel=_TOPICS,
-        ),
-    ] = None
-    bins: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Beams of a cloud's scan (default: 720).", rich_help_panel=_TOPICS),
-    ] = None
-    pose_topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="GLOB",
-            help="Take poses from it, not from tf: a PoseStamped, PoseWithCovarianceStamped or Odometry.",
-            rich_help_panel=_TOPICS,
-        ),
-    ] = None
-    mount: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,THETA",
-            help="With --pose-topic: where the sensor is on the robot, m and rad.",
-            rich_help_panel=_TOPICS,
-        ),
-    ] = None
-    scan_delay: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Is added to the stamps of all scans.", rich_help_panel=_TOPICS),
-    ] = 0.0
     tf_hold: Annotated[
         float,
         typer.Option(
             metavar="SECONDS",
             help="So long map->odom holds past its newest transform; odom->base never does.",
-            rich_help_panel=_TOPICS,
+            rich_help_panel=TOPICS,
         ),
     ] = 1.0
     map_frame: Annotated[
-        str, typer.Option(metavar="NAME", help="The frame that the map is in.", rich_help_panel=_TOPICS)
+        str, typer.Option(metavar="NAME", help="The frame that the map is in.", rich_help_panel=TOPICS)
     ] = "map"
     odom_frame: Annotated[
-        str, typer.Option(metavar="NAME", help="The frame of the odometry.", rich_help_panel=_TOPICS)
+        str, typer.Option(metavar="NAME", help="The frame of the odometry.", rich_help_panel=TOPICS)
     ] = "odom"
 
-    def options(self) -> "Ros2Options":
-        """The same, checked.
+    def options(self, topics: TopicFlags) -> "Ros2Options":
+        """What is read of robots, and how, checked.
 
         Raises:
-            BadInput: one is not allowed.
+            BadInput: something is not allowed.
         """
-        from ogm_core.ros2.point_cloud import DEFAULT_BINS, Flattening
-        from ogm_services.ros2.options import DEFAULT_BAND, Ros2Options
-
-        clouds = tuple(self.cloud_topic or ())
-        if not clouds and (self.z_band is not None or self.bins is not None):
-            raise BadInput("--z-band, --bins: they are for clouds, so --cloud-topic is needed, too")
-        if self.mount is not None and not self.pose_topic:
+        if topics.mount is not None and not topics.pose_topic:
             raise BadSetting(
                 "--mount: it goes with --pose-topic; with tf say --sensor 'ROBOT/SENSOR:mount=X,Y,THETA'"
             )
-        low, high = DEFAULT_BAND if self.z_band is None else _band(self.z_band)
-        return Ros2Options(
-            scan_topics=tuple(self.scan_topic or ("*",)),
-            cloud_topics=clouds,
-            flattening=Flattening(low, high, DEFAULT_BINS if self.bins is None else self.bins),
-            pose_topics=tuple(self.pose_topic or ()),
-            mount=None if self.mount is None else mount_of(self.mount),
+        return replace(
+            topics.options(),
             tf_hold=self.tf_hold,
-            scan_delay=self.scan_delay,
             map_frame=self.map_frame,
             odom_frame=self.odom_frame,
         )
@@ -200,6 +143,7 @@ class PublishFlags:
 def ros2(
     where: WhereFlags,
     topics: TopicFlags,
+    frames: FrameFlags,
     publish: PublishFlags,
     network: NetworkFlags,
     logging: LoggingFlags,
@@ -233,7 +177,7 @@ def ros2(
             check_sensors(sensor)
             check_robots(robot)
             published = Published(publish.publish_map, publish.publish_probabilities)
-            run_ros2(networks, topics.options(), settings, published)
+            run_ros2(networks, frames.options(topics), settings, published)
 
 
 def _domains(text: str | None) -> tuple[int, ...]:
@@ -244,13 +188,3 @@ def _domains(text: str | None) -> tuple[int, ...]:
     if not all(part.isascii() and part.isdigit() and len(part) <= 3 for part in parts):
         raise BadSetting(f"{name}: whole numbers such as 0 or 0,1 are needed, got {text!r}")
     return tuple(dict.fromkeys(map(int, parts)))
-
-
-def _band(text: str) -> tuple[float, float]:
-    try:
-        low, high = map(float, text.split(","))
-    except ValueError:
-        low = high = math.nan
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise BadInput(f"--z-band: two numbers MIN,MAX in metres are needed, got {text!r}")
-    return low, high

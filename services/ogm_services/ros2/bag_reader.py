@@ -32,7 +32,7 @@ MAX_WAITING = 4096
 
 @dataclass(frozen=True, slots=True)
 class BagOptions:
-    """How a bag is read; `scan_topics`, globs: () takes the one there is.
+    """How a bag is read; `scan_topics`, globs: () takes the one there is, or none if clouds are asked for.
 
     `fixed_frame`: the frame that poses are in; None: map if there is one, else odom.
     """
@@ -120,9 +120,13 @@ class BagReader:
     def _begin(self) -> None:
         bag = self._bag
         self.size = bag.size
-        self._scan_topics = chosen_scans(bag, self._options.scan_topics)
-        names = tuple(topic.name for topic in self._scan_topics)
-        options = replace(self._options.ros2, scan_topics=names)
+        chosen = chosen_scans(bag, self._options.scan_topics, self._options.ros2.cloud_topics)
+        self._scan_topics = {*chosen.scans, *chosen.clouds}
+        options = replace(
+            self._options.ros2,
+            scan_topics=tuple(topic.name for topic in chosen.scans),
+            max_beams=self._settings.mapper.max_beams,
+        )
         if self._options.fixed_frame is not None:
             options = replace(options, map_frame=self._options.fixed_frame)
         frames = {} if options.pose_topics else self._frames()

@@ -20,6 +20,13 @@ class Edge(NamedTuple):
     static: bool
 
 
+class Chosen(NamedTuple):
+    """Topics of a bag that are mapped."""
+
+    scans: tuple[BagTopic, ...]
+    clouds: tuple[BagTopic, ...]
+
+
 def edges_in(bag: BagFile) -> dict[str, dict[str, Edge]]:
     """The parents of all frames that a bag's tf names, the last of each, by namespace."""
     found: dict[str, dict[str, Edge]] = {}
@@ -33,30 +40,43 @@ def edges_in(bag: BagFile) -> dict[str, dict[str, Edge]]:
     return found
 
 
-def chosen_scans(bag: BagFile, globs: tuple[str, ...]) -> tuple[BagTopic, ...]:
-    """The topics of a bag whose scans are to be mapped.
+def chosen_scans(bag: BagFile, globs: tuple[str, ...], cloud_globs: tuple[str, ...]) -> Chosen:
+    """The topics of a bag whose scans and clouds are to be mapped; clouds alone, if only these are asked for.
 
     Raises:
         BadRecording: there are none, or several of which none was asked for; the text names what there is.
     """
-    path = bag.path
-    scans = [topic for topic in bag.topics if topic.type == cdr.LASER_SCAN and topic.messages]
+    clouds = _asked_for(bag, cdr.POINT_CLOUD2, cloud_globs, "--cloud-topic") if cloud_globs else ()
+    if globs:
+        return Chosen(_asked_for(bag, cdr.LASER_SCAN, globs, "--scan-topic"), clouds)
+    return Chosen((), clouds) if clouds else Chosen(_only_one(bag), ())
+
+
+def _asked_for(bag: BagFile, kind: str, globs: tuple[str, ...], flag: str) -> tuple[BagTopic, ...]:
+    found = [topic for topic in bag.topics if topic.type == kind and topic.messages]
+    chosen = tuple(topic for topic in found if matches(topic.name, globs))
+    if not chosen:
+        there = listed(f"{topic.name} ({topic.messages})" for topic in found)
+        raise BadRecording(
+            f"{bag.path}: {flag} {', '.join(globs)}: it holds no such {kind.rpartition('/')[2]}; "
+            + (f"there are {there}" if there else "there are none")
+        )
+    return chosen
+
+
+def _only_one(bag: BagFile) -> tuple[BagTopic, ...]:
+    scans = tuple(topic for topic in bag.topics if topic.type == cdr.LASER_SCAN and topic.messages)
     if not scans:
         ours = [f"{topic.name} ({topic.type})" for topic in bag.topics if topic.messages]
         others = [f"{topic.name} ({topic.type}, {topic.encoding})" for topic in bag.others if topic.messages]
-        there = listed(ours + others)
-        raise BadRecording(
-            f"{path}: holds no LaserScan" + (f"; there are {there}" if there else ", and nothing")
-        )
-    found = listed(f"{topic.name} ({topic.messages})" for topic in scans)
-    if not globs and len(scans) > 1:
-        raise BadRecording(f"{path}: holds several LaserScans, say which to map by --scan-topic: {found}")
-    chosen = tuple(topic for topic in scans if not globs or matches(topic.name, globs))
-    if not chosen:
-        raise BadRecording(
-            f"{path}: --scan-topic {', '.join(globs)}: it holds no such LaserScan; there are {found}"
-        )
-    return chosen
+        there = f"; there are {listed(ours + others)}" if ours + others else ", and nothing"
+        clouds = [topic.name for topic in bag.topics if topic.type == cdr.POINT_CLOUD2 and topic.messages]
+        instead = f"; --cloud-topic makes scans of {listed(clouds)}" if clouds else ""
+        raise BadRecording(f"{bag.path}: holds no LaserScan{there}{instead}")
+    if len(scans) > 1:
+        found = listed(f"{topic.name} ({topic.messages})" for topic in scans)
+        raise BadRecording(f"{bag.path}: holds several LaserScans, say which to map by --scan-topic: {found}")
+    return scans
 
 
 def told(topic: BagTopic) -> Topic:

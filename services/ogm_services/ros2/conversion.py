@@ -86,7 +86,7 @@ class Conversion:
         if not self.is_scan(topic):
             return None
         flattening = self._options.flattening if topic.type == cdr.POINT_CLOUD2 else None
-        feed = SensorFeed(topic, self._options.scan_delay, flattening)
+        feed = SensorFeed(topic, self._options.scan_delay, flattening, self._options.max_beams)
         self._feeds[number, topic.name, topic.type] = feed
         return functools.partial(self._scan, number, feed)
 

@@ -9,6 +9,7 @@ from ogm_core.ros2.base_poses import MAP_FRAME, ODOM_FRAME
 from ogm_core.ros2.point_cloud import DEFAULT_BINS, Flattening
 from ogm_core.ros2.tf_tree import TF_HOLD
 from ogm_core.types import Pose
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
 
 DEFAULT_BAND = (0.1, 1.5)
 """Points between these heights above the base become beams, m."""
@@ -22,7 +23,7 @@ class Ros2Options:
 
     `pose_topics`: poses come from these, not from tf. `mount`: where the sensors are on the robot, whatever
     tf says; settings of a sensor come before it. `scan_delay` (s) is added to the stamps of scans,
-    `tf_hold`: see `TfTree`.
+    `tf_hold`: see `TfTree`. LaserScans with more than `max_beams` are malformed.
     """
 
     scan_topics: tuple[str, ...] = ("*",)
@@ -34,6 +35,7 @@ class Ros2Options:
     scan_delay: float = 0.0
     map_frame: str = MAP_FRAME
     odom_frame: str = ODOM_FRAME
+    max_beams: int = DEFAULT_MAX_BEAMS
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tf_hold <= MAX_TF_HOLD:

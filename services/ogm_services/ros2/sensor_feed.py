@@ -11,6 +11,7 @@ from ogm_core.ros2.point_cloud import Flattening, flattened_scan
 from ogm_core.ros2.topics import Topic
 from ogm_core.ros2.transform import Transform
 from ogm_core.types import Scan
+from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
 
 MAX_WAITING = 100
 """Messages of a sensor that may wait for transforms."""
@@ -29,11 +30,12 @@ class Waiting(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class SensorFeed:
-    """What waits of a topic, and how it becomes scans. `delay` is added to the stamps, s."""
+    """What waits of a topic, and how it becomes scans, as Ros2Options say; `delay` is their `scan_delay`."""
 
     topic: Topic
     delay: float
     flattening: Flattening | None = None
+    max_beams: int = DEFAULT_MAX_BEAMS
     waiting: deque[Waiting] = field(default_factory=deque)
     hinted: bool = False
 
@@ -57,8 +59,15 @@ class SensorFeed:
             BadMessage, Tilted: it cannot be one.
         """
         if isinstance(message, LaserScan):
-            deskew = _deskew(rule)
-            return mounted_scan(message, mount, deskew=deskew, delay=self.delay, seq=seq, run=run)
+            return mounted_scan(
+                message,
+                mount,
+                deskew=_deskew(rule),
+                delay=self.delay,
+                seq=seq,
+                run=run,
+                max_beams=self.max_beams,
+            )
         assert self.flattening is not None
         return flattened_scan(message, mount, self.flattening, delay=self.delay, seq=seq, run=run)
 
