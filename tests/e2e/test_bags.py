@@ -1,15 +1,19 @@
 """Bags of real and simulated robots become maps, or are refused in a line that says what is missing."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import turtlebot4
-from ogm_core.logs.recorded import RecordedPose
+from ogm_core.cells.classes import trinary
+from ogm_core.grid import OccupancyGrid
+from ogm_core.logs.recorded import RecordedPose, RecordedScan
 from ogm_core.placing.pose_history import PoseHistory
 from ogm_core.types import Pose
+from ogm_services.commands.log_readers import AS_IT_SAYS, log_reader
 from ogm_services.ros2.bag_reader import BagOptions, BagReader
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.settings.settings import Settings
@@ -18,24 +22,32 @@ AS_SORTED = "mapper: {max_speed: .inf, max_turn_rate: .inf}"
 """The bag of the real building was sorted by stamps, which go back in its log: its poses jump."""
 
 
-def hits(ogm, name="built"):
-    return json.loads((ogm.folder / name / "quality.json").read_text())["consistency"]["hits"]
+BY_BEAM = "--scan-topic /scan --sensor *:deskew=auto"
 
 
 @pytest.mark.parametrize(
-    ("bag", "flags", "counts", "share"),
+    ("bag", "flags", "scans", "hits", "within"),
     [
-        ("tb3walker", "", "92 scans read, 92 integrated", 0.80),
-        ("neato23_square_drive_bag_2", "--scan-topic /scan --sensor *:deskew=auto", "178 scans read", 0.46),
-        ("neato23_square_bag_one", "--scan-topic /scan --sensor *:deskew=auto", "187 scans read", 0.29),
+        ("tb3walker", "", 92, 0.80, 0.945),
+        ("neato23_square_drive_bag_2", BY_BEAM, 178, 0.46, 0.56),
+        ("neato23_square_bag_one", BY_BEAM, 187, 0.29, 0.41),
+        ("neato23_square_drive_bag_2", "--scan-topic /scan", 178, 0.50, 0.58),
+        ("neato23_square_drive_bag_2", "--scan-topic /stable_scan", 178, 0.73, 0.79),
     ],
 )
-def test_maps_of_small_bags_are_as_sharp_as_their_poses(ogm, datasets, bag, flags, counts, share):
-    """The shares are those of the README beside the bags."""
-    ended = ogm.call("build", datasets / "bags" / bag, "--out", "built", *flags.split())
+def test_maps_of_small_bags_are_as_sharp_as_their_poses(ogm, datasets, bag, flags, scans, hits, within):
+    """The first three are the figures of the README beside the bags, to 0.02.
+
+    Those of the Neato's were taken beam by beam: its scans do say when each was taken (0.56 ms apart), and
+    the map is worse for it, as that is not true of `/scan`. Taken as a whole, as here by default, and by its
+    other topic, whose stamps are better, it is sharper.
+    """
+    ended = ogm.call("build", datasets / "bags" / bag, "--out", "built", "--hold-out", 10, *flags.split())
     assert ended.code == 0
-    assert counts in ended.out
-    assert hits(ogm) == pytest.approx(share, abs=0.02)
+    assert f"{scans} scans read" in ended.out
+    quality = json.loads((ogm.folder / "built" / "quality.json").read_text())
+    assert quality["consistency"]["hits"] == pytest.approx(hits, abs=0.02)
+    assert quality["held_out"]["within_0_1_m"] == pytest.approx(within, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +73,11 @@ def test_a_laser_without_a_frame_is_mounted_by_hand(ogm, datasets):
 
 
 def test_a_building_from_its_bag_and_from_its_log(ogm, intel):
-    """Nearly all cells are equal: the bag's stamps are in another order, and its poses went through tf."""
+    """Nearly all cells are equal; next test: what those come from that are not.
+
+    A class is whether a cell is rather occupied. Of the three classes of map.pgm 99.9947 % are equal: those
+    that one beam more makes free have had one beam, or two.
+    """
     ogm.file("sorted.yaml", AS_SORTED)
     for log, name in {"mcap": "bag", "intel-corrected.log.gz": "log"}.items():
         ended = ogm.call("build", intel / log, "--config", "sorted.yaml", "--out", name)
@@ -73,8 +89,35 @@ def test_a_building_from_its_bag_and_from_its_log(ogm, intel):
     one, other = bag["log_odds"][common], log["log_odds"][common]
     assert np.mean(one == other) >= 0.9998
     assert np.mean((one > 0.0) == (other > 0.0)) >= 0.99999
+    assert np.mean(trinary_of(one) == trinary_of(other)) >= 0.99994
     classes = [np.asarray(Image.open(ogm.folder / name / "map.pgm")) for name in ("bag", "log")]
     assert not any(np.any((a == 0) & (b == 254)) for a, b in (classes, classes[::-1]))
+
+
+def trinary_of(log_odds):
+    return trinary(1.0 / (1.0 + np.exp(-log_odds)), np.ones(log_odds.shape, bool))
+
+
+def test_all_that_a_bag_changes_of_a_log_is_the_order_and_the_precision_of_angles(intel):
+    """With the bag's order and the angles of a LaserScan, in float32, the log gives the same cells."""
+    read = {}
+    for log in ("mcap", "intel-corrected.log.gz"):
+        with log_reader(intel / log, AS_IT_SAYS, Settings())() as messages:
+            read[log] = list(messages)
+    history, grids = PoseHistory(), [OccupancyGrid(Settings().grid_settings()) for _ in range(2)]
+    for each in read["mcap"]:
+        if isinstance(each, RecordedPose):
+            history.append(each.message.stamp, each.message.pose)
+    for scan in (each.message for each in read["mcap"] if isinstance(each, RecordedScan)):
+        grids[0].integrate(scan, history.at(scan.stamp))
+    for scan in sorted(
+        (each.message for each in read["intel-corrected.log.gz"]), key=lambda scan: scan.stamp
+    ):
+        angles = {name: float(np.float32(getattr(scan, name))) for name in ("angle_min", "angle_increment")}
+        grids[1].integrate(replace(scan, **angles), scan.pose)
+    bag, log = (grid.snapshot() for grid in grids)
+    assert bag.origin == log.origin
+    np.testing.assert_array_equal(bag.log_odds(), log.log_odds())
 
 
 @pytest.mark.parametrize("kind", ["rosbag2_sqlite3", "rosbag2_mcap"])
