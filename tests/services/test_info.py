@@ -5,7 +5,7 @@ import json
 import pytest
 
 import mcap_bytes as mcap
-from bag_files import drive, mount, scan, write_bag
+from bag_files import drive, edge, mount, scan, tf, write_bag
 from ogm_core.errors import BadRecording
 from ogm_core.logs.recordings import RecordedPose, write_jsonl
 from ogm_core.types import Pose, PoseStamped
@@ -65,6 +65,17 @@ def test_long_lists_end_in_a_screen(tmp_path, capsys):
     assert len(shown.splitlines()) < 40
     run_info(bag, as_json=True)
     assert len(json.loads(capsys.readouterr().out)["topics"]) == 43
+
+
+def test_a_bag_of_many_robots_fits_a_screen(tmp_path, capsys):
+    """Whatever their frames are called, and however deep they lie."""
+    chain = [tf(0, *(edge(0, f"{n}" * 200, f"{n + 1}" * 200) for n in range(1, 60)), topic="/tf_static")]
+    robots = [tf(0, edge(0, "odom", "base_link"), topic=f"/r{n}/tf") for n in range(300)]
+    run_info(write_bag(tmp_path / "bag", [*chain, *drive(), *robots]), as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert "  and those of more namespaces (--json has all)" in lines
+    assert len(lines) < 100
+    assert max(map(len, lines[:-1])) < 250
 
 
 def test_a_recording(tmp_path, capsys):

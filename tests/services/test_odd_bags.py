@@ -1,5 +1,6 @@
 """Bags that were cut, mixed, compressed, or hold more than ROS: read as far as they are clear."""
 
+import math
 import shutil
 
 import pytest
@@ -7,7 +8,7 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 import mcap_bytes as mcap
-from bag_files import STORE, drive, mount, read_bag, write_bag
+from bag_files import STORE, at, drive, edge, mount, read_bag, scan, tf, write_bag
 from ogm_core.errors import BadRecording
 from ogm_core.ros2.bag_files import BagFile
 
@@ -148,6 +149,21 @@ def test_of_a_folder_the_files_are_read_that_its_metadata_names(tmp_path, plugin
     assert "missing, though metadata.yaml names them: gone_1.db3" in read_bag(folder).reader.doubt
     metadata.unlink()
     with pytest.raises(BadRecording, match=r"data files of several bags \(bag\..*, other\..*\): give one"):
+        read_bag(folder)
+
+
+@pytest.mark.parametrize("name", ["scan", "/s[a]", "/" + "s" * 500, "/sc\nan"])
+def test_names_of_topics_are_what_they_are(tmp_path, name):
+    """In MCAP, without / at the begin or with what a glob would take for something else."""
+    said = [each._replace(topic=name) if each.topic == "/scan" else each for each in SAID]
+    expected = seen(read_bag(by_hand(tmp_path / "plain.mcap", convert=plain)))
+    assert seen(read_bag(by_hand(tmp_path / "odd.mcap", said, convert=plain))) == expected
+
+
+def test_transforms_that_cannot_be_are_told_where_no_scan_can_be_placed(tmp_path):
+    nowhere = [tf(at(n), edge(at(n), "odom", "base_link", math.nan, 0.0, 0.0)) for n in range(1, 4)]
+    folder = write_bag(tmp_path / "bag", [mount(), *nowhere, scan(at(2))])
+    with pytest.raises(BadRecording, match=r"none of its 1 scans .*; bad_transform: odom -> base_link: "):
         read_bag(folder)
 
 

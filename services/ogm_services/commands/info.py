@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from ogm_core.errors import BadRecording, printable
+from ogm_core.errors import BadRecording, cut, printable
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.ros2.bag_files import ENCODINGS, BagFile, is_bag
 from ogm_services.commands.log_readers import AS_IT_SAYS, log_reader
@@ -19,6 +19,8 @@ from ogm_services.settings.settings import Settings
 
 _ROWS = 24
 """Topics, and frames of a namespace, that are shown at most; JSON has all."""
+_DEEPEST = 12
+"""Frames that lie deeper below others are shown at this depth."""
 
 
 def run_info(file: Path, *, as_json: bool) -> None:
@@ -82,18 +84,27 @@ def _lines(found: dict[str, Any]) -> list[str]:
             seconds = (span["to_ns"] - span["from_ns"]) / 1e9
             lines.append(f"{what}: {seconds:.1f} s, from {_time(span['from_ns'])}")
     topics = [
-        f"  {topic['messages']:>8}  {printable(topic['name'])}  {printable(_kind(topic))}"
+        f"  {topic['messages']:>8}  {_shown(topic['name'])}  {_shown(_kind(topic))}"
         for topic in found.get("topics", ())
     ]
     lines += _cut(["topics:", *topics]) if topics else []
+    trees: list[str] = []
     for namespace, edges in found.get("frames", {}).items():
-        tree = _tree({child: Edge(**edge) for child, edge in edges.items()})
-        lines += _cut([f"frames of {namespace or '/'}:", *tree])
+        if len(trees) < _ROWS:
+            tree = _tree({child: Edge(**edge) for child, edge in edges.items()})
+            trees += _cut([f"frames of {_shown(namespace) or '/'}:", *tree])
+    lines += trees
+    if len(found.get("frames", {})) > sum(line.startswith("frames of") for line in trees):
+        lines.append("  and those of more namespaces (--json has all)")
     if found["messages"]:
         lines.append("for a map:")
-        lines += _cut([f"  {count:>8}  {source}" for source, count in found["messages"].items()])
+        lines += _cut([f"  {count:>8}  {_shown(source)}" for source, count in found["messages"].items()])
     lines += [f"note: {note}" for note in found.get("notes", ())]
     return [*lines, f"missing for a map: {found['missing'] or 'nothing'}"]
+
+
+def _shown(name: str) -> str:
+    return cut(printable(name))
 
 
 def _kind(topic: dict[str, Any]) -> str:
@@ -112,7 +123,7 @@ def _tree(edges: dict[str, Edge]) -> list[str]:
     while waiting:
         depth, frame = waiting.pop()
         moves = "" if frame not in edges or edges[frame].static else "  (moves)"
-        lines.append(f"{'  ' * depth}{printable(frame)}{moves}")
+        lines.append(f"{'  ' * min(depth, _DEEPEST)}{_shown(frame)}{moves}")
         waiting += [(depth + 1, child) for child in sorted(below.get(frame, ()), reverse=True)]
     return lines
 

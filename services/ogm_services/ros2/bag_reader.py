@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from ogm_core.errors import BadCdr, BadRecording
+from ogm_core.errors import BadCdr, BadRecording, printable
 from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan, no_returns
 from ogm_core.logs.renaming import Renaming, check_range_max
 from ogm_core.placing.sensor_rules import SensorRules
@@ -26,6 +26,7 @@ from ogm_services.settings.settings import Settings
 
 ROBOT = "robot1"
 """The name of a bag's robot that has neither namespace nor prefix."""
+MAX_COMPLAINTS = 3
 MAX_WAITING = 4096
 """Scans of a sensor that may wait for transforms."""
 
@@ -84,7 +85,7 @@ class BagReader:
             f"{count} of {source}: {reason}"
             for source, counts in sorted(self._account.counts.items())
             for reason, count in sorted(counts.items())
-            if reason not in (SENT, "bad_cdr")
+            if reason != SENT
         )
 
     @property
@@ -121,10 +122,12 @@ class BagReader:
         bag = self._bag
         self.size = bag.size
         chosen = chosen_scans(bag, self._options.scan_topics, self._options.ros2.cloud_topics)
-        self._scan_topics = {*chosen.scans, *chosen.clouds}
+        self._scan_topics = (*chosen.scans, *chosen.clouds)
+        # Those that are chosen are handed in, and no others; their names may be no globs.
         options = replace(
             self._options.ros2,
-            scan_topics=tuple(topic.name for topic in chosen.scans),
+            scan_topics=("*",),
+            cloud_topics=("*",),
             max_beams=self._settings.mapper.max_beams,
         )
         if self._options.fixed_frame is not None:
@@ -148,8 +151,10 @@ class BagReader:
             Patience(lambda: 0.0, MAX_WAITING, map_wait),
         )
         # Poses first: a scan's robot is found by the namespaces that have poses.
-        topics = sorted(bag.topics, key=lambda topic: topic in self._scan_topics)
-        found = {topic: self._conversion.handler(0, told(topic)) for topic in topics if topic.messages}
+        poses = [
+            topic for topic in bag.topics if topic.messages and self._conversion.tells_poses(told(topic))
+        ]
+        found = {topic: self._conversion.handler(0, told(topic)) for topic in [*poses, *self._scan_topics]}
         self._handlers = {topic: handle for topic, handle in found.items() if handle is not None}
         self._sent_scans = 0
         for message in bag.messages([topic for topic in self._handlers if is_static(topic)]):
@@ -160,7 +165,8 @@ class BagReader:
             handle(self._bag.cdr(message))
         except BadCdr as error:
             self.malformed += 1
-            self._account.dropped(message.topic.name, "bad_cdr", str(error))
+            if self.malformed <= MAX_COMPLAINTS:
+                self.complaints.append(f"{printable(message.topic.name)}: {error}")
 
     def _frames(self) -> dict[str, frozenset[str]]:
         """The frames that transforms name, by namespace."""
@@ -209,10 +215,12 @@ class BagReader:
 
     def _why(self) -> str:
         """Why scans were dropped, in the words of the first of each reason."""
-        found = self._told.of_scans({topic.name for topic in self._scan_topics})
-        if "no edge" in found:
-            found["mount"] = "--mount X,Y,THETA says where the sensor is on the robot, in place of tf"
-        return f": {'; '.join(found.values())}" if found else ""
+        reasons = self._told.of({topic.name for topic in self._scan_topics})
+        if "no edge" in reasons:
+            reasons["mount"] = "--mount X,Y,THETA says where the sensor is on the robot, in place of tf"
+        others = {topic.name for topic in self._handlers} - {topic.name for topic in self._scan_topics}
+        why = [*reasons.values(), *self._told.of(others).values(), *self.complaints]
+        return f": {'; '.join(why)}" if why else ""
 
 
 class _LogOfRobot:
@@ -252,6 +260,6 @@ class _Told:
         self.complaints.add(source, kind, text)
         self._first.setdefault((source, kind), text)
 
-    def of_scans(self, topics: set[str]) -> dict[str, str]:
+    def of(self, topics: set[str]) -> dict[str, str]:
         """The first complaint of each kind about some topics."""
         return {kind: text for (source, kind), text in self._first.items() if source in topics}
