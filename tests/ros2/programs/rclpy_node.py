@@ -5,6 +5,10 @@
 {"heard": "/scan"}                     ->   {"count": 1}       subscribers that it knows of
 {"subscribe": "/map", "type": "nav_msgs/msg/OccupancyGrid", "reliable": true, "latched": true, "depth": 1}
 {"take": "/map"}                       ->   {"values": [...]}  all messages so far, as rclpy gives them
+{"client": "/get_map"}                                          of nav_msgs/GetMap
+{"offered": "/get_map"}                ->   {"value": true}    whether a service is there
+{"call": "/get_map"}
+{"replied": "/get_map"}                ->   {"values": [...]}  the maps so far
 """
 
 import sys
@@ -12,6 +16,7 @@ import threading
 
 import rclpy
 from answering import answer_by_verb
+from nav_msgs.srv import GetMap
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -23,6 +28,7 @@ class Ends:
 
     def __init__(self, node):
         self.node, self.publishers, self.found = node, {}, {}
+        self.clients, self.asked = {}, {}
 
     def publish(self, asked):
         kind = message_class(asked["type"])
@@ -42,6 +48,19 @@ class Ends:
 
     def take(self, asked):
         return {"values": [told(message) for message in self.found[asked["take"]]]}
+
+    def client(self, asked):
+        self.clients[asked["client"]] = self.node.create_client(GetMap, asked["client"])
+        self.asked[asked["client"]] = []
+
+    def offered(self, asked):
+        return {"value": self.clients[asked["offered"]].service_is_ready()}
+
+    def call(self, asked):
+        self.asked[asked["call"]].append(self.clients[asked["call"]].call_async(GetMap.Request()))
+
+    def replied(self, asked):
+        return {"values": [told(each.result().map) for each in self.asked[asked["replied"]] if each.done()]}
 
 
 def qos(asked):
