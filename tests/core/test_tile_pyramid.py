@@ -120,6 +120,21 @@ def test_squares_of_a_map_that_grows_in_all_directions(model):
     check(pyramid, snap, levels=(1, 2))
 
 
+def test_a_reader_of_a_map_from_before_it_was_laid_out_anew():
+    rng, grid, pyramid = np.random.default_rng(5), grid_of(LogOdds()), TilePyramid()
+    drive(grid, rng, 0, 1.0)
+    old = grid.snapshot()
+    grid.integrate(scan(rng, 1), Pose(-700.0, 3.0, 0.0))  # beyond the room around the first scan
+    new = grid.snapshot()
+    assert old.stored.tiles.rect != new.stored.tiles.rect
+    far, near = Square(13, -4, -1), Square(13, 0, -1)
+    for snap in (old, new, old, new):
+        for square in (far, near):
+            found = pixels(pyramid, snap, square)
+            assert np.array_equal(found, pixels(TilePyramid(), snap, square))
+            assert found.any() == (square is near or snap is new)
+
+
 def test_another_map_with_the_same_revision_is_another_map():
     rng, pyramid = np.random.default_rng(6), TilePyramid()
     for cells in ("int16", "float64"):

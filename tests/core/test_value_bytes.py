@@ -1,5 +1,8 @@
 """Value bytes and the palettes that draw them, against their definitions cell by cell."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,7 +10,10 @@ import naive
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.value_bytes import COLOURS, legend, value_byte
+from ogm_core.tiles.overviews import OVERVIEW_BYTES, make_overviews
 
+VECTORS = Path(__file__).parents[1] / "data" / "tiles" / "value_bytes.json"
+"""For readers of tiles in other languages, too."""
 EVERY_BYTE = np.arange(256)
 P = np.concatenate(
     [np.linspace(0.0, 1.0, 100_001), *(np.nextafter(p, (0.0, p, 1.0)) for p in (0.196, 0.65, 0.5))]
@@ -41,6 +47,19 @@ def test_every_int16_cell(model):
     found = model.encode(every.reshape(256, 256), value_byte).ravel()
     p = model.probability(every).tolist()
     assert found.tolist() == [naive.value_byte(p[k], bool(cell)) for k, cell in enumerate(every.tolist())]
+
+
+def test_the_file_of_examples():
+    examples = json.loads(VECTORS.read_text())
+    assert len(examples["cells"]) > 20
+    for p, byte in examples["cells"]:
+        assert value_byte(np.array([p or 0.0]), np.array([p is not None])).tolist() == [byte]
+    tile = np.zeros((64, 64), np.uint8)
+    for k, (block, _) in enumerate(examples["blocks"]):
+        tile[:2, 2 * k % 64 : 2 * k % 64 + 2] = np.reshape(block, (2, 2))
+        found = np.zeros((1, OVERVIEW_BYTES), np.uint8)
+        make_overviews(tile, found)
+        assert found[0, k % 32] == examples["blocks"][k][1]
 
 
 def drawn(palette, p=P, known=KNOWN):
