@@ -48,6 +48,9 @@ class OccupancyGrid:
         self.max_bytes = settings.max_bytes
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
         self.lattice, self.bounds = settings.lattice, settings.bounds_rect
+        self.time: MapTime
+        """How far its time has come, and its ticks: of a map with a half-life."""
+        self._aging: Aging | None
         self._store: TileStore
         self._copies: TileCopies | None = None
         self.reset(epoch)
@@ -59,7 +62,7 @@ class OccupancyGrid:
         self.stamp: int | None = None
         self.cell_updates = 0
         self.erasures = 0
-        self.time = MapTime()
+        self._begin_time(MapTime())
         self._known: CellRect | None = None
         self._begin_store(TileStore(self.bounds or CellRect(0, 0, 0, 0), self.model.planes))
 
@@ -113,16 +116,18 @@ class OccupancyGrid:
             LimitReached: it would stretch the map past a limit; no cell has changed.
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
-        time, tick = self.time, self.settings.tick
+        time, aging, tick = self.time, self._aging, self.settings.tick
         if tick is not None:
             time = time.after(scan.stamp, self.revision + 1, tick)
+            if time.ticks is not self.time.ticks:
+                aging = Aging.by(time.ticks, self.model)
         try:
             # What the scan says: about which cells, and which of them are this map's.
             evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
             updated = evidence.extent()
             if self.bounds is not None:
                 updated = updated.intersection(self.bounds)
-            updates = self._add(evidence, updated, Aging.by(time.ticks, self.model)) if updated.cells else 0
+            updates = self._add(evidence, updated, aging) if updated.cells else 0
         except MemoryError as error:
             raise LimitReached(
                 f"the system has no memory left for the map: {SMALLER_MAP}", "memory"
@@ -131,7 +136,7 @@ class OccupancyGrid:
         self.revision += 1
         self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
         self.cell_updates += updates
-        self.time = time
+        self.time, self._aging = time, aging
         return updates
 
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
@@ -208,8 +213,9 @@ class OccupancyGrid:
         """
         return CopyAhead(self._store, self.revision, self._copies, self._aging)
 
+    @property
     def aged_bytes(self) -> int:
-        """How much of what the next snapshot has to copy has missed ticks, written or not."""
+        """How much the next snapshot has to copy because it has missed ticks."""
         aging = self._aging
         return 0 if aging is None else aged_tiles(self._store, self._copies, aging) * self._store.tile_bytes
 
@@ -262,13 +268,13 @@ class OccupancyGrid:
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
         self.epoch, self.revision, self.stamp, self.cell_updates, self._known = state[:5]
-        self.erasures, self.time = state.erasures, state.time
+        self.erasures = state.erasures
+        self._begin_time(state.time)
         self._begin_store(store)
 
-    @property
-    def _aging(self) -> Aging | None:
-        """By which tiles that have missed ticks are to be brought up to date."""
-        return Aging.by(self.time.ticks, self.model)
+    def _begin_time(self, time: MapTime) -> None:
+        self.time = time
+        self._aging = Aging.by(time.ticks, self.model)
 
     def _begin_store(self, store: TileStore) -> None:
         """Take cells that have nothing to do with those of earlier snapshots."""

@@ -50,6 +50,8 @@ class MapTime(NamedTuple):
             return MapTime(stamp, self.ticks)
         time = max(self.time, min(stamp, self.time + LONGEST_STEP))
         passed = time // tick - self.time // tick
+        if not passed:
+            return MapTime(time, self.ticks)
         return MapTime(time, (*self.ticks, *(revision,) * passed)[-MOST_TICKS:])
 
 

@@ -324,7 +324,7 @@ class LiveMap:
     def _copy_aged(self) -> None:
         """Copy what has missed a tick (see tiles.aging), if that is much, while the writer goes on."""
         with self._writing:
-            aged = self._grid.aged_bytes()
+            aged = self._grid.aged_bytes
             if aged <= _MUCH:
                 return
             afresh = self._memory is not None and self._memory.left() < aged
