@@ -1,18 +1,20 @@
 """MCAP recordings, read in the order of the file: whole ones, and those that were cut short."""
 
+import struct
 from collections.abc import Iterator
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
-from ogm_core.errors import BadRecording, MissingExtra, cut, printable
-from ogm_core.ros2.mcap_package import MAGIC, mcap_package
-from ogm_core.ros2.mcap_recording import LIBRARY, ROBOT, SENSOR
+from ogm_core.errors import BadRecording
+from ogm_core.ros2 import mcap_records
+from ogm_core.ros2.mcap_recording import ROBOT, SENSOR
+from ogm_core.ros2.mcap_records import HEAD, MAGIC, MAX_CHUNK, DamagedRecord
 from ogm_core.ros2.recording_messages import POSE, SCAN
 
 _OURS = (POSE, SCAN)
-_HEAD = 64
-"""So many bytes hold what it says wrote it."""
 _LOOK = 16 * 1024 * 1024
 """So many bytes of a file without a summary are looked at for messages of ours."""
+_FOOTER = struct.Struct("<BQQQI8s")
+"""The last record and the magic after it; where the summary begins is the first of its fields."""
 
 
 class McapMessage(NamedTuple):
@@ -38,27 +40,16 @@ def is_recording(file: BinaryIO) -> bool:
     """Whether a file is an MCAP with messages of ours.
 
     Raises:
-        MissingExtra: it seems to be, and mcap is not installed.
+        MissingExtra: what decompresses it is not installed.
     """
     file.seek(0)
-    head = file.read(_HEAD)
-    if not head.startswith(MAGIC):
+    if file.read(len(MAGIC)) != MAGIC:
         return False
+    names = list(_schemas_of_summary(file)) if is_whole(file) else []
     try:
-        mcap = mcap_package()
-    except MissingExtra:
-        if LIBRARY.encode() in head:
-            raise
+        return any(name in _OURS for name in names or _schemas_looked_at(McapRecords(file)))
+    except BadRecording:
         return False
-    try:
-        if is_whole(file):
-            file.seek(0)
-            summary = mcap.make_reader(file).get_summary()
-            if summary is not None and summary.schemas:
-                return any(schema.name in _OURS for schema in summary.schemas.values())
-    except Exception:  # noqa: BLE001 (whatever a damaged summary makes of it: the records tell)
-        pass
-    return any(message.type in _OURS for message in _looked_at(McapRecords(file)))
 
 
 def robot_and_sensor(message: McapMessage) -> tuple[str, str | None]:
@@ -71,92 +62,121 @@ def robot_and_sensor(message: McapMessage) -> tuple[str, str | None]:
 
 
 class McapRecords:
-    """Reads the messages of an open file, once, in its order, up to its end or where it was cut.
+    """Reads an open file, once, in its order, up to its end or where it was cut.
 
     Raises, while iterating:
-        MissingExtra: mcap is not installed.
         BadRecording: a part of it is damaged.
+        MissingExtra: what decompresses it is not installed.
     """
 
     def __init__(self, file: BinaryIO, size: int | None = None) -> None:
         """`size`: no more of it is read, bytes; None: all."""
         self._file = file
-        self._mcap = mcap_package()
         self.whole = False
         """Whether its end was reached."""
         self.read = 0
         """Bytes of the file that were read whole."""
-        self.size = file.seek(0, 2) if size is None else size
-        self._finished = is_whole(file)
+        end = file.seek(0, 2)
+        self.size = end if size is None else size
+        self._finished = self.size == end and is_whole(file)
 
     def __iter__(self) -> Iterator[McapMessage]:
+        """Its messages."""
         schemas: dict[int, str] = {}
-        channels: dict[int, Any] = {}
-        for record in self.records():
-            if isinstance(record, self._mcap.Schema):
-                schemas[record.id] = record.name
-            elif isinstance(record, self._mcap.Channel):
-                channels[record.id] = record
-            elif isinstance(record, self._mcap.Message):
-                channel = channels.get(record.channel_id)
-                if channel is None:
-                    raise BadRecording("a message is of no channel")
-                name = schemas.get(channel.schema_id, "")
-                yield McapMessage(channel.topic, name, record.log_time, record.data, channel.metadata)
+        channels: dict[int, mcap_records.Channel] = {}
+        for kind, record in self.records():
+            try:
+                if kind == mcap_records.SCHEMA:
+                    number, name = mcap_records.schema(record)
+                    schemas[number] = name
+                elif kind == mcap_records.CHANNEL:
+                    channel = mcap_records.channel(record)
+                    channels[channel.id] = channel
+                elif kind == mcap_records.MESSAGE:
+                    yield _message(mcap_records.message(record), channels, schemas)
+            except DamagedRecord as error:
+                raise self._damaged(error) from error
 
-    def records(self) -> Iterator[Any]:
-        """Its records, those in chunks one by one."""
-        for record in self.chunks():
-            if isinstance(record, self._mcap.Chunk):
+    def records(self) -> Iterator[tuple[int, memoryview]]:
+        """Its records by kind, those in chunks one by one."""
+        for kind, record in self.chunks():
+            if kind == mcap_records.CHUNK:
                 yield from self.broken_up(record)
             else:
-                yield record
+                yield kind, memoryview(record)
 
-    def chunks(self) -> Iterator[Any]:
-        """Its records, chunks as they are."""
-        self._file.seek(0)
-        stream = self._mcap.StreamReader(self._file, emit_chunks=True, record_size_limit=self.size)
-        records = iter(stream.records)
-        while True:
-            try:
-                record = next(records)
-            except StopIteration:
-                self.whole = True
+    def chunks(self) -> Iterator[tuple[int, bytes]]:
+        """Its records by kind, chunks as they are; of the summary none."""
+        at = len(MAGIC)
+        while at + HEAD.size <= self.size:
+            self._file.seek(at)
+            kind, length = HEAD.unpack(self._file.read(HEAD.size))
+            if not kind or length > self.size - at - HEAD.size:
+                break  # it was cut; or a disk has zeros for what it lost
+            if length > 2 * MAX_CHUNK:
+                raise BadRecording(f"the record at byte {at} is damaged: it has {length} bytes")
+            record = self._file.read(length)
+            at += HEAD.size + length
+            self.read = at
+            if kind in (mcap_records.DATA_END, mcap_records.FOOTER):
+                self.whole = self._finished
                 return
-            except Exception as error:
-                at_end = self._file.tell() >= self.size or isinstance(error, self._mcap.TooLong)
-                if at_end and not self._finished:
-                    return
-                raise BadRecording(f"what follows byte {self.read} is damaged ({_said(error)})") from error
-            if self._file.tell() > self.size:
-                return
-            self.read = self._file.tell()
-            yield record
+            yield kind, record
+        if self._finished:
+            raise BadRecording(f"what follows byte {self.read} is damaged")
 
-    def broken_up(self, chunk: Any) -> list[Any]:  # noqa: ANN401 - a record of mcap
-        """The records of a chunk.
+    def broken_up(self, chunk: bytes) -> Iterator[tuple[int, memoryview]]:
+        """The records of a chunk by kind.
 
         Raises:
-            BadRecording: it is damaged.
+            BadRecording: it is damaged; none of its records is used.
         """
         try:
-            records: list[Any] = self._mcap.breakup_chunk(chunk, validate_crc=True)
-        except Exception as error:
-            raise BadRecording(f"the chunk before byte {self.read} is damaged ({_said(error)})") from error
-        return records
+            return iter(list(mcap_records.records_in(mcap_records.chunk(chunk))))
+        except DamagedRecord as error:
+            raise self._damaged(error) from error
+
+    def _damaged(self, error: DamagedRecord) -> BadRecording:
+        return BadRecording(f"what is before byte {self.read} is damaged: {error}")
 
 
-def _looked_at(records: McapRecords) -> Iterator[McapMessage]:
-    """The messages of the first _LOOK bytes."""
+def _message(
+    message: mcap_records.Message, channels: dict[int, mcap_records.Channel], schemas: dict[int, str]
+) -> McapMessage:
+    channel = channels.get(message.channel)
+    if channel is None:
+        raise DamagedRecord(f"a message is of channel {message.channel}, which is not described")
+    return McapMessage(
+        channel.topic, schemas.get(channel.schema, ""), message.time, message.payload, channel.metadata
+    )
+
+
+def _schemas_of_summary(file: BinaryIO) -> Iterator[str]:
+    """The names of the schemas that a whole file's summary repeats, if it has one."""
+    file.seek(0, 2)
+    if file.tell() < _FOOTER.size:
+        return
+    file.seek(-_FOOTER.size, 2)
+    end = file.tell()
+    kind, _, start, *_ = _FOOTER.unpack(file.read(_FOOTER.size))
+    if kind != mcap_records.FOOTER or not 0 < start < end or end - start > _LOOK:
+        return
+    file.seek(start)
     try:
-        for message in records:
-            if records.read > _LOOK:
-                return
-            yield message
-    except BadRecording:
+        for of, record in mcap_records.records_in(file.read(end - start)):
+            if of == mcap_records.SCHEMA:
+                yield mcap_records.schema(record)[1]
+    except DamagedRecord:
         return
 
 
-def _said(error: Exception) -> str:
-    text = " ".join(printable(str(error)).split())
-    return f"{type(error).__name__}: {cut(text)}" if text else type(error).__name__
+def _schemas_looked_at(records: McapRecords) -> Iterator[str]:
+    """The names of the schemas in the first _LOOK bytes."""
+    for kind, record in records.records():
+        if records.read > _LOOK:
+            return
+        if kind == mcap_records.SCHEMA:
+            try:
+                yield mcap_records.schema(record)[1]
+            except DamagedRecord:
+                return

@@ -14,7 +14,8 @@ from ogm_core.errors import MissingExtra, OgmError, cut, printable
 from ogm_core.units import MEBIBYTE
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = range(0x01, 0x07)
+ATTACHMENT, METADATA, DATA_END = 0x09, 0x0C, 0x0F
 """Kinds of records; there are others, which are of no use here."""
 HEAD = struct.Struct("<BQ")
 """Before each record: its kind, and its length."""
@@ -37,6 +38,7 @@ class Channel(NamedTuple):
     schema: int
     topic: str
     encoding: str
+    metadata: dict[str, str]
 
 
 class Message(NamedTuple):
@@ -72,11 +74,18 @@ def schema(record: memoryview) -> tuple[int, str]:
 
 
 def channel(record: memoryview) -> Channel:
-    """A channel, without its metadata."""
+    """A channel."""
     (number, of_schema), rest = _taken("<HH", record)
     topic, rest = _text(rest)
-    encoding, _ = _text(rest)
-    return Channel(number, of_schema, topic, encoding)
+    encoding, rest = _text(rest)
+    (length,), rest = _taken("<I", rest)
+    if length > len(rest):
+        raise DamagedRecord("a channel's metadata end past its record")
+    metadata, rest = {}, rest[:length]
+    while rest:
+        key, rest = _text(rest)
+        metadata[key], rest = _text(rest)
+    return Channel(number, of_schema, topic, encoding, metadata)
 
 
 def message(record: memoryview) -> Message:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
 from ogm_core.errors import BadRecording
+from ogm_core.ros2 import mcap_records
 from ogm_core.ros2.mcap_package import mcap_package
 from ogm_core.ros2.mcap_reading import McapRecords
 
@@ -20,7 +21,7 @@ class Repaired:
     unread: int = 0
     """Bytes at the file's end that nobody can read."""
     damaged: int = 0
-    """Chunks that are left out."""
+    """Chunks, and records outside of them, that are left out."""
     whole: bool = False
     """Whether there was nothing to repair."""
 
@@ -29,23 +30,23 @@ def repair(source: BinaryIO, target: BinaryIO) -> Repaired:
     """Write what can be read of an MCAP into `target`, in its order, whoever wrote it.
 
     Raises:
-        MissingExtra: mcap is not installed.
+        MissingExtra: mcap, or what decompresses the file, is not installed.
         OSError: one cannot be read, or the other written.
     """
     records, copy = McapRecords(source), _Copy(target)
     found = copy.found
     try:
-        for record in records.chunks():
-            if not isinstance(record, mcap_package().Chunk):
-                copy.put(record)
+        for kind, record in records.chunks():
+            if kind != mcap_records.CHUNK:
+                copy.put(kind, record)
                 continue
             try:
                 inner = records.broken_up(record)
             except BadRecording:
                 found.damaged += 1
                 continue
-            for each in inner:
-                copy.put(each)
+            for of, each in inner:
+                copy.put(of, bytes(each))
     except BadRecording:
         pass  # nobody can tell where the next record begins
     copy.finish()
@@ -67,27 +68,42 @@ class _Copy:
         self._numbers: dict[int, int] = {}
         self._begun = False
 
-    def put(self, record: Any) -> None:  # noqa: ANN401 - a record of mcap
-        mcap, writer = self._mcap, self._writer
-        if isinstance(record, mcap.Header) and not self._begun:
-            writer.start(profile=record.profile, library=record.library)
-            self._begun = True
-        elif isinstance(record, mcap.Schema) and record.id not in self._schemas:
-            self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-            self._names[record.id] = record.name
-        elif isinstance(record, mcap.Channel):
-            self._channels.setdefault(record.id, record)
-        elif isinstance(record, mcap.Message):
-            self._put_message(record)
-        elif isinstance(record, mcap.Attachment):
-            writer.add_attachment(
-                record.create_time, record.log_time, record.name, record.media_type, record.data
-            )
-        elif isinstance(record, mcap.Metadata):
-            writer.add_metadata(record.name, record.metadata)
+    def put(self, kind: int, record: bytes) -> None:
+        """Copy a record, if that is what it claims to be."""
+        read = self._mcap.RECORDS.get(kind)
+        if read is None:
+            return
+        try:
+            made = read(record)
+        except Exception:  # noqa: BLE001 (whatever mcap makes of bytes that are no such record)
+            self.found.damaged += 1
+            return
+        self._begin(made if kind == mcap_records.HEADER else None)
+        match kind:
+            case mcap_records.SCHEMA if made.id not in self._schemas:
+                self._schemas[made.id] = self._writer.register_schema(made.name, made.encoding, made.data)
+                self._names[made.id] = made.name
+            case mcap_records.CHANNEL:
+                self._channels.setdefault(made.id, made)
+            case mcap_records.MESSAGE:
+                self._put_message(made)
+            case mcap_records.ATTACHMENT:
+                self._writer.add_attachment(
+                    made.create_time, made.log_time, made.name, made.media_type, made.data
+                )
+            case mcap_records.METADATA:
+                self._writer.add_metadata(made.name, made.metadata)
 
     def finish(self) -> None:
+        self._begin(None)
         self._writer.finish()
+
+    def _begin(self, header: Any) -> None:  # noqa: ANN401 - a record of mcap
+        """Write the header, once: the one there is, if it comes first as it must."""
+        if not self._begun:
+            self._begun = True
+            profile, library = ("", "") if header is None else (header.profile, header.library)
+            self._writer.start(profile=profile, library=library)
 
     def _put_message(self, message: Any) -> None:  # noqa: ANN401 - a record of mcap
         channel = self._channels.get(message.channel_id)

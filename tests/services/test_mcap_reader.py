@@ -152,7 +152,7 @@ def test_one_that_is_damaged_or_holds_no_scan_is_refused(tmp_path):
     content = bytearray(path.read_bytes())
     content[200] ^= 1
     path.write_bytes(content)
-    with pytest.raises(BadRecording, match=r"is damaged .*ogm record --repair leaves out"):
+    with pytest.raises(BadRecording, match=r"is damaged: .*ogm record --repair leaves out"):
         read(path)
     with pytest.raises(BadRecording, match="cannot be read"):
         read(tmp_path / "none.mcap")

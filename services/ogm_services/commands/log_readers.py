@@ -72,7 +72,7 @@ def log_reader(
 
     Raises:
         BadRecording: what was said of it is for another kind of log.
-        MissingExtra: it is an MCAP recording, and mcap is not installed.
+        MissingExtra: what decompresses an MCAP is not installed.
     """
     recording = holds_recording(log)
     if is_bag(log) and not recording:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ogm_core.errors import BadInput, BadRecording, DiskFull
 from ogm_core.logs.jsonl_writer import cannot
-from ogm_core.ros2.mcap_package import MAGIC
+from ogm_core.ros2.mcap_records import MAGIC
 from ogm_core.ros2.mcap_repair import Repaired, repair
 from ogm_core.ros2.recording_messages import POSE, SCAN
 from ogm_core.whole_files import NO_ROOM, whole_file
@@ -23,7 +23,7 @@ def repair_recording(path: Path) -> str:
         BadRecording: it is no MCAP, or nothing of it can be read; it stays as it is.
         BadInput: it is being recorded, or cannot be read or written.
         DiskFull: there is no room for a second one beside it.
-        MissingExtra: mcap is not installed.
+        MissingExtra: mcap, or what decompresses the file, is not installed.
     """
     try:
         with path.open("rb") as source:

@@ -23,7 +23,7 @@ def holds_recording(path: Path) -> bool:
     """Whether a file is an MCAP recording; what cannot be read is none.
 
     Raises:
-        MissingExtra: it seems to be, and mcap is not installed.
+        MissingExtra: what decompresses it is not installed.
     """
     if not path.is_file():  # what comes out of a pipe could not be read a second time
         return False
