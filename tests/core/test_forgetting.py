@@ -225,10 +225,10 @@ def mapped(model=None, half_life=8.0, **changes):
     return OccupancyGrid(GridSettings(RESOLUTION, model or LogOdds(), half_life=half_life, **changes), "e")
 
 
-def look(grid, stamp, x=0.0, r=3.0):
+def look(grid, stamp, x=0.0, r=3.0, y=0.0):
     """A scan of one beam to the east, a hit at a distance."""
     scan = Scan(stamp, 0.0, 0.1, 0.0, 8.0, np.array([r], np.float32))
-    return grid.integrate(scan, Pose(x + 0.1, 0.1, 0.0))
+    return grid.integrate(scan, Pose(x + 0.1, y + 0.1, 0.0))
 
 
 def stored_cells(grid):
@@ -252,6 +252,24 @@ def test_a_tick_touches_no_tile_but_those_that_its_scan_writes():
     assert [tile[:3] for tile in grid.checkpoint().tiles_since(2)] == [(2, 0, 3)]
     look(grid, 2 * SECOND)
     assert tile.tobytes() != before
+
+
+def test_a_copy_that_is_made_while_a_tile_ages_is_not_the_stores():
+    """Of a tile that a scan comes near, and does not write: its cells have aged meanwhile."""
+    grid = mapped()
+    look(grid, 0, x=20.0, y=20.0)
+    ahead = grid.copy_ahead()
+    for second in (1, 2):  # to the east and to the north of its tile, not to the north-east
+        scan = Scan(second * SECOND, 0.0, math.pi / 2, 0.0, 8.0, np.array([5.0, 5.0], np.float32))
+        grid.integrate(scan, Pose(13.1, 13.1, 0.0))
+    assert grid.time.ticks == (3,)
+    assert grid._store.touched[grid._store.aged == 3].tolist().count(1) == 1
+    grid.take_ahead(ahead, ahead.made())
+    checkpoint, again = grid.checkpoint(), mapped()
+    again.restore(checkpoint.state, checkpoint.tiles_since(0))
+    assert again.snapshot().cells.tobytes() == grid.snapshot().cells.tobytes()
+    wall = again.snapshot().crop(Region(23.0, 20.0, 23.2, 20.2)).log_odds()
+    assert wall == pytest.approx(grid.model.d_occ * 2**-0.25, abs=1e-3)
 
 
 def test_a_copy_of_before_a_tick_stays_what_it_was():

@@ -11,8 +11,9 @@ from ogm_core.cells.classes import ros_grey
 SECOND = 10**9
 BOX = "region=2,0,2.5,0.5"
 SEEN = 600
-WALL, GONE = (100, 0, 0), (-1, 205, 205)
-"""Of the box as JSON, PNG and PGM: occupied, and undecided."""
+WALL, GONE = (100, 0, 0, 0), (-1, 205, 205, 205)
+"""Of the box as JSON, PNG, PGM and in a tile: occupied, and undecided."""
+TILE = "/tiles/16/0/-1.png"
 
 
 @pytest.fixture
@@ -42,11 +43,12 @@ def look_elsewhere(mapper, ticks, *, since=0, received=SEEN):
 
 
 def box(mapper):
-    """What is served of the box: JSON, PNG and PGM."""
+    """What is served of the box: JSON, PNG, PGM and in its tile."""
     pictures = (mapper.http.get(f"/map.{form}?{BOX}").raise_for_status() for form in ("png", "pgm"))
     pixels = [int(np.asarray(Image.open(io.BytesIO(picture.content))).item()) for picture in pictures]
     (value,) = mapper.http.get(f"/map.json?{BOX}&values=trinary").json()["data"]
-    return value, *pixels
+    tile = Image.open(io.BytesIO(mapper.http.get(TILE).content)).convert("RGB")
+    return value, *pixels, tile.getpixel((4, 255))[0]
 
 
 def box_known(mapper):
@@ -71,6 +73,7 @@ def test_a_box_that_is_gone_unseen_fades_in_map_and_pictures_under_tags_of_their
                 mapper.http.get("/map.png", headers={"If-None-Match": after.headers["etag"]}).status_code
                 == 304
             )
+            assert mapper.http.head(TILE).headers["etag"] == after.headers["etag"]
             tags.add(after.headers["etag"])
             whole = mapper.service.live_map.snapshot().encode(ros_grey)[::-1]
             assert np.array_equal(np.asarray(Image.open(io.BytesIO(after.content))), whole)
