@@ -3,6 +3,7 @@
 import io
 import itertools
 import math
+import threading
 import zlib
 
 import numpy as np
@@ -13,7 +14,9 @@ from ogm_core.cells.value_bytes import COLOURS
 from ogm_core.files.ros_map_writer import write_pgm, write_yaml
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import Lattice, Region
 from ogm_core.pictures.tile_png import EMPTY_TILE
+from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.pyramid import Square, TilePyramid
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
@@ -524,6 +527,46 @@ def test_a_tile_that_there_is_no_memory_for_is_refused_unless_it_is_kept(live):
         with pytest.raises(Busy):
             tiles.tile(Square(16, 0, -1), "ros")
     assert tiles.tile(Square(16, 0, -1), "ros").revision == 4
+
+
+def test_equal_tags_are_equal_pixels_whoever_asks_while_the_map_changes(live, in_background):
+    """Readers of a map that grows, is erased and reset under them share one pyramid and its streams."""
+    tiles, bodies = MapTiles(live, room=40_000), {}
+    done, looked = threading.Event(), threading.Semaphore(0)
+    squares = [Square(z, x, -1 - y) for z in (16, 15, 12) for x, y in CORNERS]
+
+    def look(seed):
+        rng, looks = np.random.default_rng(seed), 0
+        while not done.is_set():
+            square = squares[rng.integers(len(squares))]
+            tile = tiles.tile(square, "ros")
+            assert bodies.setdefault((square, tile.tag), tile.png) == tile.png
+            looks += 1
+            looked.release()
+            if looks % 40 == 0:
+                tiles.let_go()
+
+    readers = [in_background(look, seed) for seed in range(4)]
+    rng = np.random.default_rng(9)
+    try:
+        for k in range(150):
+            for _ in range(4):
+                assert looked.acquire(timeout=60.0)
+            x, y = rng.uniform(-30.0, 30.0, 2).tolist()
+            integrate(live, x, y, k)
+            if k % 25 == 24:
+                live.erase(Polygon.of_region(Region(x - 4.0, y - 4.0, x + 9.0, y + 9.0), Lattice(0.1)))
+            if k == 90:
+                live.reset("another epoch")
+    finally:
+        done.set()
+    for reader in readers:
+        reader.result(60.0)
+    assert len({tag for _, tag in bodies}) > 20
+    quiet = MapTiles(live)
+    for square in squares:
+        tile, alone = tiles.tile(square, "ros"), quiet.tile(square, "ros")
+        assert (tile.tag, tile.png) == (alone.tag, alone.png)
 
 
 def test_a_mapper_that_starts_has_no_tiles_yet(start_mapper, monkeypatch):
