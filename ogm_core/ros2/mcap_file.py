@@ -61,7 +61,9 @@ class McapFile:
         except OSError as error:
             raise BadRecording(f"{path}: cannot be read ({error.strerror})") from error
         except DamagedRecord as error:
-            raise BadRecording(f"{path}: a damaged MCAP: {error}; mcap recover saves what it can") from error
+            raise BadRecording(
+                f"{path}: a damaged MCAP: {error}; ogm record --repair saves what it can"
+            ) from error
 
     @property
     def connections(self) -> tuple[BagChannel, ...]:

@@ -78,6 +78,8 @@ class McapRecords:
         """Bytes of the file that were read whole."""
         end = file.seek(0, 2)
         self.size = end if size is None else size
+        self._cut = False
+        """Whether the chunk that was given last is cut."""
         self._finished = self.size == end and is_whole(file)
 
     def __iter__(self) -> Iterator[McapMessage]:
@@ -106,13 +108,16 @@ class McapRecords:
                 yield kind, memoryview(record)
 
     def chunks(self) -> Iterator[tuple[int, bytes]]:
-        """Its records by kind, chunks as they are; of the summary none."""
+        """Its records by kind, chunks as they are, one that was cut, too; of the summary none."""
         at = len(MAGIC)
         while at + HEAD.size <= self.size:
             self._file.seek(at)
             kind, length = HEAD.unpack(self._file.read(HEAD.size))
-            if not kind or length > self.size - at - HEAD.size:
-                break  # it was cut; or a disk has zeros for what it lost
+            if not kind or length > self.size - at - HEAD.size:  # a disk has zeros for what it lost
+                if kind == mcap_records.CHUNK and not self._finished:
+                    self._cut = True
+                    yield kind, self._file.read(min(self.size - at - HEAD.size, 2 * MAX_CHUNK))
+                break
             if length > 2 * MAX_CHUNK:
                 raise BadRecording(f"the record at byte {at} is damaged: it has {length} bytes")
             record = self._file.read(length)
@@ -126,14 +131,17 @@ class McapRecords:
             raise BadRecording(f"what follows byte {self.read} is damaged")
 
     def broken_up(self, chunk: bytes) -> Iterator[tuple[int, memoryview]]:
-        """The records of a chunk by kind.
+        """The records of the chunk that `chunks` gave last, by kind; of one that was cut the whole ones.
 
         Raises:
             BadRecording: it is damaged; none of its records is used.
         """
         try:
-            return iter(list(mcap_records.records_in(mcap_records.chunk(chunk))))
+            data = mcap_records.chunk(chunk, whole=not self._cut)
+            return iter(list(mcap_records.records_in(data, whole=not self._cut)))
         except DamagedRecord as error:
+            if self._cut:
+                return iter(())
             raise self._damaged(error) from error
 
     def _damaged(self, error: DamagedRecord) -> BadRecording:

@@ -19,7 +19,7 @@ class Repaired:
     last: int = 0
     """When the last of them came, ns."""
     unread: int = 0
-    """Bytes at the file's end that nobody can read."""
+    """Bytes at the file's end of which no more than a part can be read."""
     damaged: int = 0
     """Chunks, and records outside of them, that are left out."""
     whole: bool = False

@@ -234,6 +234,22 @@ def test_a_recording_that_is_cut_anywhere_is_read_up_to_the_chunk_before():
     assert (records.whole, records.read, len(found)) == (False, before, 24)
 
 
+def test_of_a_chunk_that_is_cut_what_it_holds_is_read():
+    """It takes more than a block of zstd, 128 KiB."""
+    file = io.BytesIO()
+    writer = McapWriter(file)
+    said = [("b", "s", scan(n, beams=1000, seq=n)) for n in range(200)]
+    for robot, sensor, each in said:
+        writer.scan(robot, sensor, each, each.stamp)
+    writer.flush()
+    part = io.BytesIO(file.getvalue()[: len(file.getvalue()) // 2])
+    records, found = read(part)
+    assert not records.whole
+    assert 50 < len(found) < 150
+    assert_all_same(found, said[: len(found)])
+    assert is_recording(part)
+
+
 def test_a_flipped_byte_is_told():
     file = io.BytesIO()
     writer, _ = written(file)

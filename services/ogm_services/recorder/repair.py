@@ -40,7 +40,7 @@ def repair_recording(path: Path) -> str:
         raise kind(cannot(path, "repaired", error)) from error
     until = datetime.fromtimestamp(found.last / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     left_out = [f"{found.damaged} damaged chunks are left out"] if found.damaged else []
-    left_out += [f"{found.unread} bytes at its end are left out"] if found.unread else []
+    left_out += [f"its last {found.unread} bytes were cut"] if found.unread else []
     return "; ".join([f"{path}: is whole again, with {_kept(found)}, the last of {until}", *left_out])
 
 
