@@ -123,7 +123,7 @@ class GridQueries:
         distances, too. It is computed by SciPy.
 
         Raises:
-            BadParameter: `max_distance` is not positive.
+            BadParameter: `max_distance` is below 0.001 m.
             MissingExtra: SciPy is not installed.
         """
         states, whole = self._states()

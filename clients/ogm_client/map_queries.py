@@ -108,7 +108,7 @@ class MapQueries:
 
         Raises:
             MapperError: the region is inverted, not finite, or wholly outside the map, or `max_distance` is
-                not above 0 and up to 1000 m.
+                not 0.001 to 1000 m.
         """
         given = texts({"region": region, "max_distance": max_distance})
         return self._fetched_layer(DISTANCE, "distance.npz", given)

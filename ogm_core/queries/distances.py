@@ -18,8 +18,8 @@ from ogm_core.lattice import CellRect
 
 MAX_RADIUS = 100.0
 """The largest radius of an inflation, m."""
-MAX_DISTANCE = 1000.0
-"""The largest distance up to which one may ask to look, m."""
+MIN_DISTANCE, MAX_DISTANCE = 0.001, 1000.0
+"""Distances up to which one may ask to look, m."""
 WITHIN = 1e-6
 """So many cells more count as within a radius: sums of decimals seldom meet one exactly."""
 BYTES_A_CELL = 12
@@ -35,11 +35,11 @@ def distances(
     `max_distance`, m, has just that; where nothing is occupied, and without it, distances are infinite.
 
     Raises:
-        BadParameter: `max_distance` is not positive.
+        BadParameter: `max_distance` is below MIN_DISTANCE.
         MissingExtra: SciPy is not installed.
     """
-    if not max_distance > 0.0:
-        raise BadParameter(f"max_distance: a positive number of metres is needed, got {max_distance:g}")
+    if not max_distance >= MIN_DISTANCE:
+        raise BadParameter(f"max_distance: {MIN_DISTANCE:g} m or more is needed, got {max_distance:g}")
     metres = np.full((part.height, part.width), max_distance, np.float32)
     for rows, squared in _squared_distances(states, part):
         np.minimum(metres[rows], np.sqrt(squared) * resolution, out=metres[rows], casting="same_kind")

@@ -58,7 +58,8 @@ class Footprints:
         """
         _check(footprints, margin)
         self._number = len(footprints)
-        corners = [lattice.in_cells(np.array(footprint, np.float64)) for footprint in footprints]
+        with np.errstate(over="ignore"):  # what is infinite in cells is refused below
+            corners = [lattice.in_cells(np.array(footprint, np.float64)) for footprint in footprints]
         every = np.concatenate(corners)
         if not np.all(np.abs(every) < MAX_INDEX):
             raise BadParameter("footprints: finite numbers are needed, of places that have cells")

@@ -121,9 +121,9 @@ def test_a_radius_out_of_its_range(radius):
         inflated(np.zeros((2, 2), np.int8), CellRect(0, 0, 2, 2), 1.0, radius)
 
 
-@pytest.mark.parametrize("longest", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("longest", [0.0, -1.0, 0.0009, 1e-50, math.nan])
 def test_a_longest_distance_that_is_none(longest):
-    with pytest.raises(BadParameter, match="max_distance: a positive number of metres is needed, got"):
+    with pytest.raises(BadParameter, match=r"max_distance: 0\.001 m or more is needed, got"):
         distances(np.zeros((2, 2), np.int8), CellRect(0, 0, 2, 2), 1.0, longest)
 
 

@@ -163,6 +163,11 @@ def test_what_cannot_be_asked_is_named(footprints, margin, message):
         Footprints(footprints, margin, CELLS)
 
 
+def test_places_without_end_in_cells_are_refused():
+    with pytest.raises(BadParameter, match="finite numbers are needed"):
+        Footprints([[(0.0, -1.7e308)]], 0.0, Lattice(0.05))
+
+
 def test_the_rectangle_holds_what_is_met():
     rng = np.random.default_rng(9)
     for margin in (0.0, 1.7):

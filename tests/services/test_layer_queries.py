@@ -97,6 +97,8 @@ def test_pictures(cross):
     grey = pixels(fetch(cross, "distance", "png"))
     assert np.array_equal(grey, np.minimum(np.floor(100 * metres + 0.5), 255))
     assert grey[3, 5] == 50  # beside the wall in the east, one cell of 0.5 m away
+    shortest = pixels(fetch(cross, "distance", "png", max_distance=0.001))
+    assert np.array_equal(shortest, np.where(metres == 0.0, 0, 255))
     wide = pixels(fetch(cross, "distance", "png", max_distance=10))
     assert np.array_equal(wide, np.floor(25.5 * metres + 0.5))
     states = arrays(cross.http.get("/inflate.npz?radius=0.5"))["occupancy"][::-1]
@@ -204,13 +206,13 @@ def test_a_map_without_an_occupied_cell(mapper):
         ("inflate", "npz", {"radius": 101}, 400, "radius: 0 to 100 is needed, got 101"),
         ("inflate", "npz", {"radius": "wide"}, 400, "radius: a number is needed, got 'wide'"),
         ("inflate", "npz", {"radius": 1, "max_distance": 1}, 400, "max_distance: unknown parameter"),
-        ("distance", "npz", {"max_distance": 0}, 400, "max_distance: more than 0 and at most 1000 is needed"),
+        ("distance", "npz", {"max_distance": 0}, 400, "max_distance: 0.001 to 1000 is needed"),
         (
             "distance",
             "png",
             {"max_distance": 1001},
             400,
-            "max_distance: more than 0 and at most 1000 is needed",
+            "max_distance: 0.001 to 1000 is needed",
         ),
         ("distance", "npz", {"radius": 1}, 400, "radius: unknown parameter; there are: max_distance, region"),
         ("distance", "npz", {"region": "1,1,0,0"}, 400, "region: xmin < xmax"),
@@ -307,7 +309,7 @@ def test_openapi_tells_ranges(cross):
         for path in ("/distance.png", "/distance.npz", "/inflate.png", "/inflate.npz")
         for parameter in paths[path]["get"]["parameters"]
     }
-    longest = {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1000.0}
+    longest = {"type": "number", "minimum": 0.001, "maximum": 1000.0}
     assert schemas["/distance.npz", "max_distance"] == (longest, False)
     assert schemas["/distance.png", "max_distance"] == ({**longest, "default": 2.55}, False)
     assert schemas["/inflate.png", "radius"] == ({"type": "number", "minimum": 0.0, "maximum": 100.0}, True)

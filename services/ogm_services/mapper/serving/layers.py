@@ -17,7 +17,14 @@ from ogm_core.files.layer_files import (
     encode_states_png,
 )
 from ogm_core.lattice import CellRect
-from ogm_core.queries.distances import BYTES_A_CELL, MAX_DISTANCE, MAX_RADIUS, distances, inflated
+from ogm_core.queries.distances import (
+    BYTES_A_CELL,
+    MAX_DISTANCE,
+    MAX_RADIUS,
+    MIN_DISTANCE,
+    distances,
+    inflated,
+)
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.keys import Query
 from ogm_services.mapper.serving.map_formats import check_names
@@ -35,17 +42,15 @@ _BYTES_A_RESULT = 12
 DISTANCE_OF_PICTURE = NumberParameter(
     "max_distance",
     "metres at and beyond which the picture is white, 255",
-    0.0,
+    MIN_DISTANCE,
     MAX_DISTANCE,
     default=PICTURE_DISTANCE,
-    above=True,
 )
 DISTANCE_OF_ARRAY = NumberParameter(
     "max_distance",
     "metres up to which occupied cells are looked for: what is farther has just that",
-    0.0,
+    MIN_DISTANCE,
     MAX_DISTANCE,
-    above=True,
     optional=True,
 )
 RADIUS = NumberParameter(
