@@ -24,6 +24,9 @@ from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan, Sweep
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
 
+RECENT_NS = 10_000_000_000
+"""A robot whose newest stamp is older than another's by no more than that has been heard of lately."""
+
 
 class ScanSink(Protocol):
     """Where placed scans go: an `OccupancyGrid`, or something that stands in for one."""
@@ -88,6 +91,12 @@ class ScanPlacer:
     def robots_bytes(self) -> int:
         """What the poses of all robots, and the seqs and runs of their scans, hold. Any thread."""
         return self._robots.held.nbytes
+
+    def recent_robots(self) -> list[str]:
+        """The robots whose newest stamps are within RECENT_NS of the newest of all."""
+        newest = {name: stamp for name, robot in self._robots.items() if (stamp := robot.poses.newest)}
+        last = max(newest.values(), default=0)
+        return [name for name, stamp in newest.items() if last - stamp <= RECENT_NS]
 
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Take a robot's pose, and place every scan that it makes ready."""

@@ -21,6 +21,7 @@ from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_services.mapper.intake.handing_on import skipping
+from ogm_services.mapper.intake.in_step import InStep
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.work import ScanSizes
@@ -122,6 +123,7 @@ class Parts:
         """Any thread."""
         measured = self.metrics.measurements
         sink = TimedSink(self.live_map, measured.integration.observe)
+        robot_rules = RobotRules(settings.robot_rules())
         self.placer = placer = ScanPlacer(
             *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
             hints=hints_by(self.live_map.snapshot, grid_settings),
@@ -129,7 +131,7 @@ class Parts:
             limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
             stopping=lambda: queue.closed,
             robots_limit=limits.robots_bytes,
-            other_robots=OtherRobots(RobotRules(settings.robot_rules()), hits_at_robots(grid_settings)),
+            other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
         )
         """The worker's; what it has decided, any thread asks."""
         skip = skipping(placer.decided)
@@ -141,6 +143,8 @@ class Parts:
         kept = self.kept_map
         if kept is not None:
             kept.go_on(self.live_map, grid_settings, self.run, placer)
+        self.in_step = InStep(placer.recent_robots()) if robot_rules else None
+        """Any thread; None where the order between robots does not matter."""
         self.worker = Worker(
             *(queue, placer, self.receipts),
             max_beams=limits.beams,

@@ -241,6 +241,7 @@ class MapperService:
             *(session, keys, self.parts.queue, self.parts.receipts, self.parts.placer),
             max_beams=self.parts.limits.beams,
             overload=self.parts.overload,
+            in_step=self.parts.in_step,
         )
         self.memory.add("held", lambda: subscriber.hold.held)
         opening.callback(subscriber.close)

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from functools import partial
 
 from ogm_core.placing.rules import MAX_ROBOTS
 from ogm_core.wire.heads import read_head
@@ -19,6 +20,7 @@ from ogm_services.mapper.intake.backlog import Backlog, Unanswered
 from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.handing_on import Decided, Intake
 from ogm_services.mapper.intake.held import Held, HeldBytes
+from ogm_services.mapper.intake.in_step import InStep
 from ogm_services.mapper.intake.robot_hold import RobotHold
 
 ASKS = 3
@@ -30,6 +32,8 @@ FROZEN = 1.5
 """If there is more than this between two looks, s, the mapper itself stood still: every robot is asked."""
 ASKERS = 16
 """Robots that are asked at a time; and as many of those whose caches did not answer the last time."""
+ASKERS_IN_STEP = 128
+"""The same where robots are in step: they wait for each other."""
 SHARE = 0.25
 """What is being resumed takes this part of the queue, or one message of each robot."""
 PATIENCE = 10.0
@@ -62,9 +66,17 @@ class HoldAndAsk:
     last time: nobody else waits for them. A robot's lock is held while one message of it is handed on.
     """
 
-    def __init__(self, caches: Caches, decided: Decided, intake: Intake, who: str = "the mapper") -> None:
-        """`who` holds and asks, as the log calls it."""
+    def __init__(
+        self,
+        caches: Caches,
+        decided: Decided,
+        intake: Intake,
+        who: str = "the mapper",
+        in_step: InStep | None = None,
+    ) -> None:
+        """`who` holds and asks, as the log calls it. `in_step` keeps robots that are resumed in step."""
         self._who = who
+        self._in_step = in_step
         self._caches = caches
         self._decided = decided
         self._intake = intake
@@ -72,8 +84,9 @@ class HoldAndAsk:
         self._lock = threading.Lock()
         self._bytes = HeldBytes()
         self._stopping = threading.Event()
-        self._askers = ThreadPoolExecutor(ASKERS, "ogm-ask")
-        self._patient_askers = ThreadPoolExecutor(ASKERS, "ogm-ask-again")
+        askers = ASKERS if in_step is None else ASKERS_IN_STEP
+        self._askers = ThreadPoolExecutor(askers, "ogm-ask")
+        self._patient_askers = ThreadPoolExecutor(askers, "ogm-ask-again")
         self._looker = threading.Thread(target=self._look_on, name="ogm-hold")
         self._looked = math.inf
         """When the looker looked last, s."""
@@ -85,6 +98,8 @@ class HoldAndAsk:
 
     def start(self) -> None:
         """Hear of caches that come and go, and look for silent ones."""
+        if self._in_step is not None:
+            self._in_step.started()
         self._caches.declare(self.cache_changed)
         self._looker.start()
 
@@ -190,6 +205,8 @@ class HoldAndAsk:
     def _work(self, robot: RobotHold, patient: bool) -> None:
         try:
             robot.hold()
+            if self._in_step is not None:
+                self._in_step.begin(robot.name)
             for _ in range(10):
                 if not robot.is_settling(time.monotonic(), SETTLING) or self._stopping.wait(SETTLING):
                     break
@@ -199,6 +216,8 @@ class HoldAndAsk:
             robot.again, robot.fails = False, 0
             self._drain(robot, time.monotonic())
         finally:
+            if self._in_step is not None:
+                self._in_step.end(robot.name)
             with self._lock:
                 robot.at_work = False
             if robot.again or robot.is_held:
@@ -247,9 +266,9 @@ class HoldAndAsk:
             with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
                 whole = final or not robot.lacks_any(backlog.sources, backlog.runs)
                 for message, follows in backlog.messages() if whole else ():
-                    progress |= robot.take_cached(
-                        message, time.monotonic(), lambda: self._room(robot), follows=follows or final
-                    )
+                    stamp = None if message.head is None else message.head[0]
+                    turn = partial(self._turn, robot, stamp)
+                    progress |= robot.take_cached(message, time.monotonic(), turn, follows=follows or final)
                     if self._stopping.is_set():
                         return progress, False
                 if whole:
@@ -262,7 +281,13 @@ class HoldAndAsk:
     def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:
         """Hand on what is held; whether a gap has ended it, and whether anything was handed on."""
         patient = time.monotonic() + PATIENCE
-        return robot.drain(lambda: self._room(robot, patient), until)
+        return robot.drain(lambda: self._turn(robot, robot.held_stamp, patient), until)
+
+    def _turn(self, robot: RobotHold, stamp: int | None, until: float = math.inf) -> bool:
+        """Wait until a message of that stamp has its turn among other robots', and then as `_room` does."""
+        if self._in_step is not None and stamp is not None:
+            self._in_step.wait(robot.name, stamp, self._stopping)
+        return self._room(robot, until)
 
     def _room(self, robot: RobotHold, until: float = math.inf) -> bool:
         """Wait until the queue has room for a message that is resumed; False: the mapper stops.

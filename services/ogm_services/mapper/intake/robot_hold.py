@@ -75,6 +75,13 @@ class RobotHold:
         """When it was heard last, s; 0 if it never was."""
         return max((known.heard for known in list(self._sources.values())), default=0.0)
 
+    @property
+    def held_stamp(self) -> int | None:
+        """Stamp of the oldest message that is held, ns; None if there is none, or nobody can read it."""
+        with self.lock:
+            head = self._held.oldest.head if self._held else None
+        return None if head is None else head[0]
+
     def hold(self) -> None:
         """From now on keep what comes."""
         with self.lock:

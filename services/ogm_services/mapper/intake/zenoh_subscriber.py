@@ -14,6 +14,7 @@ from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
+from ogm_services.mapper.intake.in_step import InStep
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import Message, ScanQueue
 from ogm_services.mapper.intake.reception import Reception
@@ -48,8 +49,9 @@ class ZenohSubscriber:
         max_beams: int,
         overload: Overload | None = None,
         who: str = "the mapper",
+        in_step: InStep | None = None,
     ) -> None:
-        """`who` listens, as the log calls it."""
+        """`who` listens, as the log calls it. `in_step` keeps robots that are resumed in step."""
         self._session = session
         self._placer = placer
         self._keys = keys
@@ -58,7 +60,7 @@ class ZenohSubscriber:
         self._receipts = receipts
         self._reception = Reception(queue, receipts, max_beams=max_beams, overload=overload)
         caches = Caches(session, keys, self._reception.longest)
-        self.hold = HoldAndAsk(caches, placer.decided, self._reception, who)
+        self.hold = HoldAndAsk(caches, placer.decided, self._reception, who, in_step)
         """What holds robots back while they are asked for what was missed."""
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
