@@ -1,12 +1,14 @@
 """Maps that forget, stored, and read while they are written: they go on as if nothing had been."""
 
 import threading
+import weakref
 from types import SimpleNamespace
 
 import pytest
 
 from counts_model import scans
-from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.tiles.copies import CopyAhead
 from ogm_services.mapper.live import live_map as live_map_module
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.storage.checkpoints import Checkpoints
@@ -87,6 +89,28 @@ def test_what_is_repaired_keeps_its_time(tmp_path):
     with MapStore(tmp_path / "new") as store:
         found = store.restore(story.grid.settings).grid
     assert fingerprint(found, epoch=False) == fingerprint(story.grid, epoch=False)
+
+
+@pytest.mark.parametrize("scarce", [False, True], ids=["plenty of memory", "scarce memory"])
+def test_a_copy_is_let_go_before_all_is_copied_anew_if_both_are_too_much(monkeypatch, scarce):
+    monkeypatch.setattr(live_map_module, "_MUCH", 0)
+    live, held, made = LiveMap(forgetting()), [], CopyAhead.made
+    left = 0 if scarce else 10**9
+    placed = iter(scans())
+    live.integrate(*in_time(next(placed), live._grid))
+    cells = weakref.ref(live.snapshot().stored.tiles.blocks[0].planes[PLANE])
+    for _ in range(2):
+        live.integrate(*in_time(next(placed), live._grid))
+    assert live._grid.time.ticks
+
+    def look(ahead):
+        held.append(cells() is not None)
+        return made(ahead)
+
+    monkeypatch.setattr(CopyAhead, "made", look)
+    live._memory = SimpleNamespace(left=lambda: left, make_room=lambda: None)
+    assert live.snapshot().cells.tobytes() == live._grid.snapshot().cells.tobytes()
+    assert held == [not scarce]
 
 
 @pytest.mark.parametrize("scarce", [False, True], ids=["plenty of memory", "scarce memory"])

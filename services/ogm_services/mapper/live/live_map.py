@@ -313,8 +313,7 @@ class LiveMap:
 
     def _room(self) -> Tiles | None:
         """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""
-        known = self._snapshot
-        if known is not None and Identity.of(known) == self.now:
+        if self._snapshot is not None and Identity.of(self._snapshot) == self.now:
             return None
         self._copy_aged()
         with self._writing:
