@@ -89,5 +89,7 @@ def aged_revisions(
     revision becomes the tick's, and a copy has aged by those before it. 0 where a tile was never written.
     """
     passed = np.array((0, *ticks), np.int64)
-    last = passed[np.searchsorted(passed, copied, "right") - 1]
-    return np.where(touched > 0, np.maximum(touched, last), 0)
+    of, written = np.zeros_like(touched), touched > 0  # of many tiles there are, few ever are
+    last = passed[np.searchsorted(passed, copied[written], "right") - 1]
+    of[written] = np.maximum(touched[written], last)
+    return of
