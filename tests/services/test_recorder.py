@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from gateway_desk import Driver, all_heard
 from ogm_client import RobotPublisher
 from ogm_core.errors import BadInput, BadRecording, DiskFull
 from ogm_core.logs.recorded import RecordedPose, RecordedScan
@@ -24,6 +25,7 @@ from ogm_services.recorder.recorder import Recorder
 from ogm_services.recorder.repair import repair_recording
 from ogm_services.ros2.mcap_reader import McapReader
 from ogm_services.settings.settings import Settings
+from ros2_robots import RmwZenohRobot
 
 KEYS = MapKeys("hall")
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -134,6 +136,23 @@ def test_what_robots_published_before_comes_first(tmp_path, listener, robot, eve
         eventually(lambda: recorder.sink.scans == 40)
     found = read(path)
     assert found == told("r", messages)
+
+
+def test_a_robot_of_ros2_is_recorded_like_any_other(tmp_path, listener, gateway, network, eventually):
+    """As `ogm ros2` sends it on."""
+    path, driver = tmp_path / "a.mcap", Driver(RmwZenohRobot(network()))
+    with recording(listener, path) as recorder:
+        found = gateway()
+        found.until(all_heard(driver))
+        for n in range(10):
+            driver.drive(n)
+        found.until(lambda: recorder.sink.scans == 9)
+        found.until(lambda: recorder.sink.poses == len(found.sent.poses["domain0"]))
+    poses = [(None, message) for message in found.sent.poses["domain0"]]
+    scans = [("scan", message) for message in found.sent.scans["domain0/scan"]]
+    recorded = read(path)
+    assert [each for each in recorded if each[1] is None] == told("domain0", poses)
+    assert [each for each in recorded if each[1] == "scan"] == told("domain0", scans)
 
 
 def test_messages_that_are_none_are_counted_and_left_out(tmp_path, listener, network, robot, eventually):
