@@ -30,6 +30,16 @@ _HASHES = {**topics.TYPE_HASHES, **TYPE_HASHES}
 _NOT_IN_TOPICS = re.compile(r"[^A-Za-z0-9_]")
 
 
+def check_writable() -> None:
+    """Find out, before a file is made, whether recordings can be written.
+
+    Raises:
+        MissingExtra: mcap or rosbags is not installed.
+    """
+    cdr.check_installed()
+    mcap_package()
+
+
 class McapWriter:
     """Writes messages into a file, in the order of its calls, from `__init__` to `finish`.
 
@@ -42,7 +52,7 @@ class McapWriter:
     """
 
     def __init__(self, file: BinaryIO, *, chunk_size: int = 1024 * 1024) -> None:
-        cdr.check_installed()
+        check_writable()
         self._file = file
         self._writer = mcap_package().Writer(file, chunk_size=chunk_size)
         self._writer.start(profile="ros2", library=LIBRARY)

@@ -351,6 +351,14 @@ def test_simulate_without_flags(ogm, stub):
     assert run.args[1] == SimulatorOptions()
 
 
+def test_record_says_which_extra_is_missing_before_anything_else(ogm, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    text = "MCAP recordings need the package mcap: pip install 'zenoh-ogm[ros2]'"
+    assert text in one_line(ogm("record", "-o", tmp_path / "a.mcap", "--connect", "tcp/127.0.0.1:1"), 2)
+    assert text in one_line(ogm("simulate", "--out", tmp_path / "a.mcap", "--scans", 1), 2)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_simulate_records_without_network(ogm, stub):
     record = stub("ogm_services.commands.simulator", "run_simulator")
     assert ogm("simulate", "--out", "run.jsonl.gz", "--scans", "10", "--fov", "360").exit_code == 0

@@ -16,7 +16,7 @@ import zenoh
 from ogm_client.errors import ClientError, NobodyAnswered
 from ogm_client.session import open_session
 from ogm_core.errors import BadInput, DiskFull
-from ogm_core.ros2.mcap_recording import MAP_FRAME, McapWriter
+from ogm_core.ros2.mcap_recording import MAP_FRAME, McapWriter, check_writable
 from ogm_core.whole_files import NO_ROOM
 from ogm_services.recorder.new_file import check_new, new_file
 from ogm_services.recorder.recorder import Recorder
@@ -38,6 +38,7 @@ def run_record(settings: Settings, out: Path) -> None:
         CannotConnect: there is no such host.
         DiskFull: there is no more room; what was written can be read.
     """
+    check_writable()
     check_new(out)
     map_name = settings.network.map_name
     with ExitStack() as opening:
