@@ -21,6 +21,8 @@ MOST_TICKS = 56
 """After so many ticks 16383 steps, the most that a cell is away from the prior, are less than one: 2^-14."""
 MIN_HALF_LIFE = 1.0
 """The shortest half-life, s: a scan moves the time of a map by that at most."""
+MAX_HALF_LIFE = 1e9
+"""The longest, s: thirty years."""
 LONGEST_STEP = 1_000_000_000
 """By so much a scan moves the time of a map at most, ns."""
 
@@ -31,8 +33,8 @@ def tick_length(half_life: float) -> int:
     Raises:
         BadSetting: no map can have that half-life.
     """
-    if not (math.isfinite(half_life) and half_life >= MIN_HALF_LIFE):
-        raise BadSetting(f"half_life: {MIN_HALF_LIFE:g} s or more is needed, got {half_life:g}")
+    if not MIN_HALF_LIFE <= half_life <= MAX_HALF_LIFE:
+        raise BadSetting(f"half_life: {MIN_HALF_LIFE:g} to {MAX_HALF_LIFE:g} s are needed, got {half_life:g}")
     return round(half_life * 1e9 / TICKS_A_HALF_LIFE)
 
 

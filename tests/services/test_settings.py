@@ -170,6 +170,7 @@ def test_names_of_another_form_are_none_of_our_business(load):
         ("map.clear_range", "-1", "greater than or equal to 0"),
         ("map.half_life", "0.9", "greater than or equal to 1"),
         ("map.half_life", "inf", "finite"),
+        ("map.half_life", "1e300", "less than or equal to 1000000000"),
         ("map.resolution", "0.0009", "greater than or equal to 0.001"),
         ("map.p_occ", "1.5", "less than or equal to 1"),
         ("map.preset", "labs", "'lab'"),

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from ogm_core.cells.forgetting import MIN_HALF_LIFE
+from ogm_core.cells.forgetting import MAX_HALF_LIFE, MIN_HALF_LIFE
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.cells.model import CellModel
 from ogm_core.errors import BadSetting
@@ -107,7 +107,7 @@ class MapSettings(_Section):
     cells: CellType = "int16"
     bounds: Annotated[Bounds | None, NONE] = None
     outside: Outside = "clip"
-    half_life: Annotated[Annotated[Finite, Field(ge=MIN_HALF_LIFE)] | None, NONE] = None
+    half_life: Annotated[Annotated[Finite, Field(ge=MIN_HALF_LIFE, le=MAX_HALF_LIFE)] | None, NONE] = None
 
     def made_cell_model(self) -> CellModel:
         """The cell model of this name, with its parameters.
