@@ -178,6 +178,16 @@ def test_crop_rounds_outward_and_clips(region, rows, columns):
     assert (part.epoch, part.revision, part.stamp) == ("e1", 7, 123)
 
 
+def test_a_part_is_the_cells_of_a_rectangle():
+    whole = numbered()
+    part = whole.part(CellRect(-3, 0, 5, 2))
+    assert part.cells.tolist() == whole.cells[2:4, 1:6].tolist()
+    assert (part.offset, part.rect) == ((-3, 0), CellRect(-3, 0, 5, 2))
+    assert whole.part(whole.rect).cells.tolist() == whole.cells.tolist()
+    again = part.part(CellRect(-2, 1, 1, 1))
+    assert (again.cells.tolist(), again.offset) == ([[whole.cells[3, 2]]], (-2, 1))
+
+
 def test_crop_keeps_every_cell_in_its_place_in_the_world():
     lattice = Lattice(0.25, (10.0, -7.0))
     whole = numbered(offset=(3, 5), lattice=lattice)

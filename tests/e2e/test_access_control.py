@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zenoh
 import zenoh.ext
@@ -246,9 +247,17 @@ def test_viewers_and_robots_read_and_nobody_asks_for_everything(site, mapper, un
     for name in ("viewer", "robot1", "operator"):
         with site.session(name) as session, MapClient(session=session, timeout=30.0) as client:
             assert client.fetch("map.npz") == mapper.get("map.npz")
+            grid = client.get_map()
             assert client.status().revision == mapper.status()["revision"]
             assert client.cell(0.0, 0.0)
             assert client.quality()
+            assert (
+                client.raycast(0.0, 0.0).found.tolist()
+                == grid.raycast(0.0, 0.0, [0.0], 1000.0).found.tolist()
+            )
+            assert client.check([(0.0, 0.0)]).tolist() == grid.check([(0.0, 0.0)]).tolist()
+            assert np.array_equal(client.distance().values, grid.distance().values)
+            assert np.array_equal(client.inflate(0.3).values, grid.inflate(0.3).values)
             for everything in ("ogm/**", f"{OWN}/**", f"{OWN}/*", "**", f"{OWN}/alive/**"):
                 assert list(session.get(everything, timeout=30.0)) == []
             assert list(session.liveliness().get("ogm/**", timeout=30.0)) == []
