@@ -5,7 +5,7 @@ It meets a cell if it has a point in common with the cell's closed square. Along
 an edge that is grown, a strip with round ends, is one interval; so is what lies between two edges.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,9 @@ MAX_MARGIN = 100.0
 """The largest margin, m."""
 MAX_MET = 10_000_000
 """So many cells they may meet together at most, those that several edges meet counted for each."""
+MAX_ROWS = 100_000
+"""So many rows of cells their edges may reach over together: what a question holds grows with them."""
+_PIECE = 2**15
 SLACK = 1e-6
 """So many cells more count as within the margin: sums of decimals seldom meet an edge exactly."""
 WORDS = {OCCUPIED: "occupied", UNKNOWN: "unknown", FREE: "free"}
@@ -76,7 +79,10 @@ class Footprints:
         self._runs = [_along_edges(begins, ends, of, reach), _between_edges(begins, ends, of)]
         met = sum(float(np.sum(runs.last - runs.first + 1.0)) for runs in self._runs)
         if met > MAX_MET:
-            raise _too_much(met)
+            raise BadParameter(
+                f"points, footprints: with their margin they meet {met:.0f} cells or more, at most {MAX_MET} "
+                "are looked at: ask about fewer, or smaller ones"
+            )
 
     def states(self, cells: NDArray[np.int8], rect: CellRect) -> NDArray[np.int8]:
         """The state of each: OCCUPIED if it meets an occupied cell, else UNKNOWN if one that is not free.
@@ -85,7 +91,7 @@ class Footprints:
         """
         occupied, unknown = np.zeros((2, self._number), np.bool_)
         for runs in self._runs:
-            for k, column in counted(runs.first, runs.last):
+            for k, column in counted(runs.first, runs.last, _PIECE):
                 met = self._met(runs.footprint[k], runs.row[k], column, cells, rect)
                 occupied[runs.footprint[k[met == OCCUPIED]]] = True
                 unknown[runs.footprint[k[met == UNKNOWN]]] = True
@@ -115,23 +121,19 @@ def _check(footprints: Sequence[Sequence[tuple[float, float]]], margin: float) -
             )
 
 
-def _too_much(met: float) -> BadParameter:
-    return BadParameter(
-        f"points, footprints: with their margin they meet {met:.0f} cells or more, at most {MAX_MET} are "
-        "looked at: ask about fewer, or smaller ones"
-    )
-
-
 def _along_edges(begins: Floats, ends: Floats, of: Ints, reach: float) -> _Runs:
     """The cells that are no farther than `reach` from an edge; all in cells."""
     low, high = np.minimum(begins[:, 1], ends[:, 1]) - reach, np.maximum(begins[:, 1], ends[:, 1]) + reach
-    edge, row = _rows(np.ceil(low - 1.0).astype(np.int64), np.floor(high).astype(np.int64))
-    # The part of each row that the grown edge is in.
-    bottom, top = np.maximum(row, low[edge]), np.minimum(row + 1.0, high[edge])
-    a, b, mirrored = begins[edge], ends[edge], np.array([-1.0, 1.0])
-    right = _farthest_right(a, b, bottom, top, reach)
-    left = -_farthest_right(a * mirrored, b * mirrored, bottom, top, reach)
-    return _Runs(of[edge], row, np.ceil(left - 1.0).astype(np.int64), np.floor(right).astype(np.int64))
+    mirrored, parts = np.array([-1.0, 1.0]), []
+    for edge, row in _rows(np.ceil(low - 1.0).astype(np.int64), np.floor(high).astype(np.int64)):
+        # The part of each row that the grown edge is in.
+        bottom, top = np.maximum(row, low[edge]), np.minimum(row + 1.0, high[edge])
+        a, b = begins[edge], ends[edge]
+        right = _farthest_right(a, b, bottom, top, reach)
+        left = -_farthest_right(a * mirrored, b * mirrored, bottom, top, reach)
+        first, last = np.ceil(left - 1.0).astype(np.int64), np.floor(right).astype(np.int64)
+        parts.append((of[edge], row, first, last))
+    return _Runs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _farthest_right(a: Floats, b: Floats, bottom: Floats, top: Floats, reach: float) -> Floats:
@@ -165,22 +167,24 @@ def _between_edges(begins: Floats, ends: Floats, of: Ints) -> _Runs:
     """The cells whose centre lies inside, by the even-odd rule, whichever side one on an edge is on."""
     up = begins[:, 1] <= ends[:, 1]
     (u0, v0), (u1, v1) = np.where(up[:, None], begins, ends).T, np.where(up[:, None], ends, begins).T
-    edge, row = _rows(np.ceil(v0 - 0.5).astype(np.int64), np.ceil(v1 - 0.5).astype(np.int64) - 1)
-    share = (row + 0.5 - v0[edge]) / (v1 - v0)[edge]
-    crossed = u0[edge] + share * (u1 - u0)[edge]
-    order = np.lexsort((crossed, row, of[edge]))
-    edge, row, column = edge[order], row[order], np.ceil(crossed[order] - 0.5).astype(np.int64)
+    parts = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
+    for edge, row in _rows(np.ceil(v0 - 0.5).astype(np.int64), np.ceil(v1 - 0.5).astype(np.int64) - 1):
+        share = (row + 0.5 - v0[edge]) / (v1 - v0)[edge]
+        parts.append((of[edge], row, u0[edge] + share * (u1 - u0)[edge]))
+    footprint, row, crossed = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((crossed, row, footprint))
+    footprint, row = footprint[order], row[order]
+    column = np.ceil(crossed[order] - 0.5).astype(np.int64)
     # A closed outline crosses the line of centres an even number of times.
-    return _Runs(of[edge[::2]], row[::2], column[::2], column[1::2] - 1)
+    return _Runs(footprint[::2], row[::2], column[::2], column[1::2] - 1)
 
 
-def _rows(first: Ints, last: Ints) -> tuple[Ints, Ints]:
-    """Every edge with every row that it is in."""
+def _rows(first: Ints, last: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """Every edge with every row that it is in, in pieces."""
     rows = float(np.sum(np.maximum(last - first + 1.0, 0.0)))
-    if rows > MAX_MET:
-        raise _too_much(rows)
-    pieces = list(counted(first, last))
-    if not pieces:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    edge, row = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    return edge, row
+    if rows > MAX_ROWS:
+        raise BadParameter(
+            f"points, footprints: with their margin their edges reach over {rows:.0f} rows of cells, at most "
+            f"{MAX_ROWS} are looked at: ask about fewer, or smaller ones"
+        )
+    return counted(first, last, _PIECE)

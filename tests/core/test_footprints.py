@@ -1,6 +1,7 @@
 """Footprints on a map: exact geometry says which cells they meet; closed forms, limits and mistakes."""
 
 import math
+import tracemalloc
 from fractions import Fraction
 
 import numpy as np
@@ -153,9 +154,14 @@ def test_many_at_once_are_as_each_alone():
         ([[(0.0, 0.0)]], math.nan, "margin: 0 to 100 m is needed, got nan"),
         ([[(0.0, 0.0)]], 100.5, "margin: 0 to 100 m is needed, got 100.5"),
         ([[(0.0, 0.0), (1e4, 0.0), (1e4, 1e4)]], 0.0, r"they meet \d+ cells or more, at most 10000000 are"),
-        ([[(0.0, 0.0), (1.0, 0.0), (1.0, 1e9)]], 0.0, r"they meet \d+ cells or more"),
+        (
+            [[(0.0, 0.0), (1.0, 0.0), (1.0, 1e9)]],
+            0.0,
+            r"their edges reach over 2\d+ rows of cells, at most 100000 are looked at: ask about fewer, or",
+        ),
         ([[(0.0, 0.0), (1e15, 0.0), (1e15, 1.0)]], 0.0, r"they meet \d+ cells or more"),
-        ([[(0.0, 0.0)]] * 2000, 100.0, r"they meet \d+ cells or more"),
+        ([[(0.0, 0.0)]] * 400, 100.0, r"they meet \d+ cells or more"),
+        ([[(0.0, 0.0)]] * 2000, 100.0, r"their edges reach over 40\d+ rows of cells"),
     ],
 )
 def test_what_cannot_be_asked_is_named(footprints, margin, message):
@@ -166,6 +172,20 @@ def test_what_cannot_be_asked_is_named(footprints, margin, message):
 def test_places_without_end_in_cells_are_refused():
     with pytest.raises(BadParameter, match="finite numbers are needed"):
         Footprints([[(0.0, -1.7e308)]], 0.0, Lattice(0.05))
+
+
+def test_no_question_takes_much_memory():
+    tall = [(0.0, 0.0), (3.0, 0.0), (40.0, 30_000.0), (20.0, 30_000.0)]
+    wide = [(0.0, 0.0), (30_000.0, 3.0), (30_000.0, 40.0), (0.0, 20.0)]
+    cells = np.zeros((100, 100), np.int8)
+    for asked, margin in (([tall], 3.0), ([wide] * 8, 0.0), ([[(0.5, 0.5)]] * 4096, 9.0)):
+        tracemalloc.start()
+        try:
+            Footprints(asked, margin, CELLS).states(cells, CellRect(0, 0, 100, 100))
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak < 24 * 2**20, (margin, peak)
 
 
 def test_the_rectangle_holds_what_is_met():
