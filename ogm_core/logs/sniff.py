@@ -15,7 +15,7 @@ CARMEN_SUFFIXES = (".log", ".log.gz", ".clf", ".clf.gz")
 G2O_SUFFIXES = (".g2o", ".g2o.gz")
 READ = (
     f"JSON lines ({', '.join(JSON_SUFFIXES)}), CARMEN ({', '.join(CARMEN_SUFFIXES)}) "
-    f"and g2o with laser lines ({', '.join(G2O_SUFFIXES)})"
+    f"and g2o with laser lines ({', '.join(G2O_SUFFIXES)}), and bags (folders, .db3, .mcap, .bag)"
 )
 BOM = b"\xef\xbb\xbf"
 """The mark that some programs put before UTF-8 text."""
@@ -23,12 +23,14 @@ OF_GRAPH = "give the log that it was made of"
 
 _SEE = "see docs/logs.md"
 _CONVERT = f"convert it to JSON lines ({_SEE})"
+_BAG = f"unpack it, bags are read as they are ({_SEE})"
+"""Of one that is packed; others do not come here."""
 _UNPACK = "unpack it, and give the log that is in it"
 _GZIP = b"\x1f\x8b"
 _SIGNATURES = (
-    (b"#ROSBAG V", "a ROS 1 bag", _CONVERT),
-    (b"\x89MCAP0\r\n", "an MCAP file, as of a ROS 2 bag", _CONVERT),
-    (b"SQLite format 3\0", "an SQLite database, as of a ROS 2 bag", _CONVERT),
+    (b"#ROSBAG V", "a ROS 1 bag", _BAG),
+    (b"\x89MCAP0\r\n", "an MCAP file, as of a ROS 2 bag", _BAG),
+    (b"SQLite format 3\0", "an SQLite database, as of a ROS 2 bag", _BAG),
     (b"PK\x03\x04", "a zip archive", _UNPACK),
     (b"PK\x05\x06", "an empty zip archive", "give a log"),
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
@@ -41,9 +43,9 @@ _GFS_LINE = re.compile(rb"^LASER_READING\s", re.MULTILINE)
 _OUR_ARRAY = b"log_odds.npy"
 _TAR = (257, b"ustar")  # where a tar archive says that it is one
 _NAMES = (
-    ((".bag",), "a ROS 1 bag", _CONVERT),
-    ((".mcap",), "an MCAP file, as of a ROS 2 bag", _CONVERT),
-    ((".db3",), "an SQLite database, as of a ROS 2 bag", _CONVERT),
+    ((".bag",), "a ROS 1 bag", _BAG),
+    ((".mcap",), "an MCAP file, as of a ROS 2 bag", _BAG),
+    ((".db3",), "an SQLite database, as of a ROS 2 bag", _BAG),
     ((".npz", ".npy"), "NumPy arrays", _CONVERT),
     ((".rawlog",), "an MRPT rawlog", f"convert it with MRPT's rawlog2carmen, or to JSON lines ({_SEE})"),
     ((".zip", ".7z", ".tar", ".tgz"), "an archive", _UNPACK),
@@ -107,9 +109,7 @@ def hint(name: str, head: bytes) -> str:
 
 def folder(*, is_bag: bool) -> str:
     """What to say of a folder, as one that holds a ROS 2 bag or not."""
-    return (
-        _not_read("the folder of a ROS 2 bag", _CONVERT) if is_bag else "a folder: give a log that is in it"
-    )
+    return _not_read("the folder of a ROS 2 bag", _BAG) if is_bag else "a folder: give a log that is in it"
 
 
 def unpacked(head: bytes) -> bytes:

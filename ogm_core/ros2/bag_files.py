@@ -8,6 +8,7 @@ import heapq
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace, TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -50,6 +51,8 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return True
     try:
+        if not path.is_file():
+            return False  # what a pipe says is said once
         with path.open("rb") as file:
             head = file.read(16)
     except OSError:
@@ -113,11 +116,10 @@ class BagFile:
         files, packed = self._data_files()
         self.size = sum(file.stat().st_size for file in files)
         self.kind = _KINDS[next(kind for kind in files[0].suffixes[::-1] if kind in _KINDS)]
-        for file in files:
-            wal = file.with_name(f"{file.name}-wal")
-            if wal.is_file() and wal.stat().st_size:
+        for file in (file.with_name(f"{file.name}-{log}") for file in files for log in ("wal", "journal")):
+            if file.is_file() and file.stat().st_size:
                 self.notes.append(
-                    f"{wal.name}: what it holds is not read: open {file.name} with sqlite3 once"
+                    f"{file.name}: not read, and it may hold messages: open the .db3 with sqlite3 once"
                 )
         if packed:
             self._readers = [self._opened(self.path, opening)]
@@ -162,7 +164,10 @@ class BagFile:
             return found
         rosbags = _rosbags()
         try:
-            reader = rosbags.ros1(path) if path.suffix == ".bag" and path.is_file() else rosbags.ros2(path)
+            if path.suffix == ".bag" and path.is_file():
+                reader = rosbags.ros1(path)
+            else:
+                reader = rosbags.ros2(_plain(path, opening))
             reader.open()
         except MissingExtra:
             raise
@@ -193,7 +198,19 @@ class BagFile:
             raise self._damaged(self.path, error) from error
 
     def _damaged(self, path: Path, error: Exception) -> BadRecording:
-        return BadRecording(f"{path}: a bag that is damaged, or of a kind that is not read ({_said(error)})")
+        text = f"{path}: a bag that is damaged, or of a kind that is not read ({_said(error)})"
+        if path.suffix == ".bag" and "index" in str(error):
+            text += "; one that was not closed gets its index by `rosbag reindex`"
+        return BadRecording(text)
+
+
+def _plain(path: Path, opening: ExitStack) -> Path:
+    """A path, or a link to it if its name would be no name in a URI, which rosbags makes of it."""
+    if not set("?#%").intersection(str(path)):
+        return path
+    link = Path(opening.enter_context(TemporaryDirectory()), f"bag{path.suffix}")
+    link.symlink_to(path.absolute())
+    return link
 
 
 def _key(connection: Any) -> tuple[str, str, str]:  # noqa: ANN401 - a tuple of rosbags, or BagChannel

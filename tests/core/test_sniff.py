@@ -21,9 +21,10 @@ from ogm_core.types import IDENTITY, Scan
 CARMEN = b"# CARMEN Logfile\n\n" + odom() + b"\n" + flaser([1] * 180) + b"\n"
 JSON_LINES = line(POSE) + b"\n" + line(SCAN) + b"\n"
 CONVERT = "convert it to JSON lines (see docs/logs.md)"
+UNPACK = "unpack it, bags are read as they are (see docs/logs.md)"
 READ = (
     "JSON lines (.jsonl, .jsonl.gz), CARMEN (.log, .log.gz, .clf, .clf.gz) "
-    "and g2o with laser lines (.g2o, .g2o.gz)"
+    "and g2o with laser lines (.g2o, .g2o.gz), and bags (folders, .db3, .mcap, .bag)"
 )
 
 
@@ -70,7 +71,7 @@ def complaint(tmp_path):
 
 @pytest.mark.parametrize("name", ["map.bag", "map.log", "map.jsonl", "map"])
 def test_bags_are_known_by_their_content(complaint, tmp_path, name):
-    not_read = f"not a format that is read: {CONVERT}"
+    not_read = f"not a format that is read: {UNPACK}"
     assert complaint(name, b"#ROSBAG V2.0\n\0\x10") == f"a ROS 1 bag, {not_read}"
     assert complaint(name, b"\x89MCAP0\r\n\x01") == f"an MCAP file, as of a ROS 2 bag, {not_read}"
     sqlite = database(tmp_path)

@@ -160,6 +160,37 @@ def test_names_of_topics_are_what_they_are(tmp_path, name):
     assert seen(read_bag(by_hand(tmp_path / "odd.mcap", said, convert=plain))) == expected
 
 
+@pytest.mark.parametrize("name", ["a?mode=rw.db3", "a#1.db3", "a%41.db3"])
+def test_names_of_files_are_no_uris(tmp_path, name):
+    """Of SQLite, to whom a%41 would be another file."""
+    folder = write_bag(tmp_path / "bag", SAID)
+    expected = seen(read_bag(folder))
+    (data,) = folder.glob("*.db3")
+    shutil.copy(data, tmp_path / name)
+    assert seen(read_bag(tmp_path / name)) == expected
+    (other,) = write_bag(tmp_path / "other", SAID[:5]).glob("*.db3")
+    shutil.copy(other, tmp_path / "aA.db3")
+    assert seen(read_bag(tmp_path / name)) == expected
+    (tmp_path / name).write_bytes(data.read_bytes()[:-4096])
+    assert len(read_bag(tmp_path / name).found) > 10
+
+
+@pytest.mark.parametrize("log", ["wal", "journal"])
+def test_what_sqlite_has_not_taken_over_is_told_of(tmp_path, log):
+    folder = write_bag(tmp_path / "bag", SAID)
+    (folder / f"bag.db3-{log}").write_bytes(b"")
+    assert "not read" not in read_bag(folder).reader.doubt
+    (folder / f"bag.db3-{log}").write_bytes(b"messages")
+    assert f"bag.db3-{log}: not read, and it may hold messages" in read_bag(folder).reader.doubt
+
+
+def test_an_unfinished_bag_of_ros_1_is_refused_with_what_mends_it(datasets, tmp_path):
+    whole = (datasets / "bags" / "ros1" / "laser_frame_missing.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(BadRecording, match=r"cut.bag: a bag that is damaged, .* index by `rosbag reindex`"):
+        read_bag(tmp_path / "cut.bag")
+
+
 def test_transforms_that_cannot_be_are_told_where_no_scan_can_be_placed(tmp_path):
     nowhere = [tf(at(n), edge(at(n), "odom", "base_link", math.nan, 0.0, 0.0)) for n in range(1, 4)]
     folder = write_bag(tmp_path / "bag", [mount(), *nowhere, scan(at(2))])
