@@ -2,11 +2,14 @@
 
 import sqlite3
 import struct
+from array import array
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
+
+import numpy as np
 
 from ogm_core.errors import BadRecording
 from ogm_core.ros2.bag_channel import BagChannel
@@ -43,17 +46,16 @@ class CutDb3:
         self.start_time = self.end_time = self.message_count = 0
         name = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
         self._database = sqlite3.connect(name, uri=True, check_same_thread=False)
-        self._rows: list[tuple[int, int, int]] = []
-        """Time, id and topic of each message that is there."""
+        self._times, self._numbers, self._of_topics = array("q"), array("q"), array("q")
+        """Of each message that is there."""
         self._topics: list[tuple[int, str, str, str]] = []
         with suppress(sqlite3.Error):  # where the file ends
             self._scan()
-        if not self._rows:
+        self.message_count = len(self._of_topics)
+        if not self.message_count:
             self.close()
             raise BadRecording(f"{path}: a database that was cut short before its first message")
-        self._rows.sort()
-        self.start_time, self.end_time = self._rows[0][0], self._rows[-1][0] + 1
-        self.message_count = len(self._rows)
+        self.start_time, self.end_time = min(self._times), max(self._times) + 1
         size, missing = path.stat().st_size, bytes_missing(path)
         read = f"{self.message_count} messages, {size} of {size + missing} bytes"
         self.cut_short = f"{path.name} was cut short, and is read as far as it goes: {read}"
@@ -61,16 +63,18 @@ class CutDb3:
     @property
     def connections(self) -> tuple[BagChannel, ...]:
         """Its topics."""
-        counts = Counter(topic for _, _, topic in self._rows)
+        counts = Counter(self._of_topics)
         return tuple(BagChannel(*each, counts[each[0]]) for each in self._topics)
 
     def messages(self, topics: Collection[BagChannel]) -> Iterator[tuple[BagChannel, int, bytes]]:
         """The messages of some topics by the times at which they were written, which are the numbers."""
         wanted = {topic.id: topic for topic in topics}
-        for time, number, of_topic in self._rows:
-            if of_topic in wanted:
-                found = self._database.execute("SELECT data FROM messages WHERE id = ?", (number,))
-                yield wanted[of_topic], time, bytes(found.fetchone()[0])
+        for at in np.argsort(np.array(self._times), kind="stable").tolist():
+            topic = wanted.get(self._of_topics[at])
+            if topic is not None:
+                number = (self._numbers[at],)
+                found = self._database.execute("SELECT data FROM messages WHERE id = ?", number)
+                yield topic, self._times[at], bytes(found.fetchone()[0])
 
     def close(self) -> None:
         """Read no more."""
@@ -89,4 +93,6 @@ class CutDb3:
         ):
             if not (isinstance(time, int) and isinstance(topic, int)):
                 return  # what follows is no more to be trusted than this
-            self._rows.append((time, number, topic))
+            self._times.append(time)
+            self._numbers.append(number)
+            self._of_topics.append(topic)

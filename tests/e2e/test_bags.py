@@ -94,6 +94,28 @@ def test_a_building_from_its_bag_and_from_its_log(ogm, intel):
     assert not any(np.any((a == 0) & (b == 254)) for a, b in (classes, classes[::-1]))
 
 
+@pytest.mark.parametrize(("suffix", "size"), [("mcap", 1_500_000), ("db3", 1_800_000)])
+def test_a_bag_that_was_cut_is_replayed_as_it_is_built(ogm, datasets, assert_equal_maps, suffix, size):
+    """As far as it goes, by the same flags; all three commands say how far."""
+    (whole,) = turtlebot4.folder(datasets).glob(f"rosbag2_*/*.{suffix}")
+    (ogm.folder / f"cut.{suffix}").write_bytes(whole.read_bytes()[:size])
+    starting = ogm.mapper()
+    built = ogm.call("build", f"cut.{suffix}", "--scan-delay", "-0.1", "--out", "built")
+    cut = f"cut.{suffix} was cut short, and is read as far as it goes: "
+    assert built.code == 0
+    assert cut in built.err
+    scans = int(built.out.split(" scans read")[0].removeprefix("built: "))
+    assert 100 < scans < 250
+    mapper = ogm.ready(starting)
+    flags = "--connect", mapper.endpoint, "--scan-delay", "-0.1", "--speed", "max"
+    replayed = ogm.call("replay", f"cut.{suffix}", *flags)
+    assert replayed.code == 0
+    assert f"{scans} scans sent, {scans} integrated" in replayed.out
+    assert cut in replayed.out
+    assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
+    assert f"note: {cut}" in ogm.call("info", f"cut.{suffix}").out
+
+
 def trinary_of(log_odds):
     return trinary(1.0 / (1.0 + np.exp(-log_odds)), np.ones(log_odds.shape, bool))
 
