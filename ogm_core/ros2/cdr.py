@@ -7,15 +7,14 @@ reads both byte orders, and up to three bytes of padding at the end.
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from types import SimpleNamespace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.errors import BadCdr, MissingExtra
+from ogm_core.errors import BadCdr
 from ogm_core.ros2.transform import Transform
+from ogm_core.ros2.typestore import rosbags_types, typestore
 from ogm_core.types import Ranges
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -27,14 +26,6 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 OCCUPANCY_GRID_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 
-_UPDATE_DEFINITION = """std_msgs/Header header
-int32 x
-int32 y
-uint32 width
-uint32 height
-int8[] data
-"""
-"""The one type that rosbags does not know."""
 _SECOND = 1_000_000_000
 LAST_STAMP = (2**31 - 1) * _SECOND
 """In 2038; ROS 2 has no later one, ns."""
@@ -136,13 +127,6 @@ class OccupancyGridUpdate:
     data: NDArray[np.int8]
 
 
-class _Typestore(Protocol):
-    types: Any
-
-    def deserialize_cdr(self, rawdata: bytes | memoryview, typename: str) -> object: ...
-    def serialize_cdr(self, message: object, typename: str, *, little_endian: bool) -> memoryview: ...
-
-
 def decode_laser_scan(payload: bytes) -> LaserScan:
     """Read a LaserScan, of either byte order.
 
@@ -240,7 +224,7 @@ POSES: dict[str, Callable[[bytes], StampedPose]] = {
 
 def encode_occupancy_grid(grid: OccupancyGrid) -> bytes:
     """CDR of an OccupancyGrid, little endian; a stamp past LAST_STAMP is given as that one."""
-    types = _typestore().types
+    types = typestore().types
     stamp = _time(types, grid.stamp)
     point = types["geometry_msgs/msg/Point"](*grid.origin, 0.0)
     level = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -253,7 +237,7 @@ def encode_occupancy_grid(grid: OccupancyGrid) -> bytes:
 
 def encode_occupancy_grid_update(update: OccupancyGridUpdate) -> bytes:
     """CDR of an OccupancyGridUpdate, likewise."""
-    types = _typestore().types
+    types = typestore().types
     header = types["std_msgs/msg/Header"](_time(types, update.stamp), update.frame)
     height, width = update.data.shape
     message = types[OCCUPANCY_GRID_UPDATE](header, update.x, update.y, width, height, _NO_CELLS)
@@ -266,57 +250,15 @@ def from_ros1(payload: bytes, name: str) -> bytes:
     Raises:
         BadCdr: it is damaged, or no `name`.
     """
-    rosbags = _rosbags()
+    rosbags = rosbags_types()
     try:
         return bytes(rosbags.store.ros1_to_cdr(payload, name))
     except (rosbags.error, KeyError, struct.error, IndexError, ValueError, AssertionError) as error:
         raise BadCdr(f"payload: {len(payload)} bytes are not a {name} of ROS 1: {error}") from error
 
 
-def check_installed() -> None:
-    """Find out, before the first message, whether messages can be read.
-
-    Raises:
-        MissingExtra: they cannot.
-    """
-    _rosbags()
-
-
-def field_definitions(name: str) -> list[tuple[str, tuple[str, Any]]]:
-    """The fields of a message type: name, and (kind, what).
-
-    ("base", "float32"), ("name", "std_msgs/msg/Header"), ("array", (field, count)), ("sequence", (field, 0)).
-    """
-    return [(field, _plain_field(node)) for field, node in _rosbags().store.fielddefs[name][1]]
-
-
-def _plain_field(node: Any) -> tuple[str, Any]:  # noqa: ANN401 - a node of rosbags' parse tree
-    kind, what = node[0].name.lower(), node[1]
-    if kind == "base":
-        return kind, what[0]
-    return kind, what if kind == "name" else (_plain_field(what[0]), what[1])
-
-
-@lru_cache(maxsize=1)
-def _rosbags() -> SimpleNamespace:
-    """What is used of rosbags; read when the first message is, so that nobody else needs it."""
-    try:
-        from rosbags.serde import SerdeError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        raise MissingExtra("ROS 2 messages need rosbags: pip install 'zenoh-ogm[ros2]'") from error
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(_UPDATE_DEFINITION, OCCUPANCY_GRID_UPDATE))
-    return SimpleNamespace(store=store, error=SerdeError)
-
-
-def _typestore() -> _Typestore:
-    store: _Typestore = _rosbags().store
-    return store
-
-
 def _decoded(payload: bytes, name: str) -> Any:  # noqa: ANN401 - a class that rosbags generates
-    rosbags = _rosbags()
+    rosbags = rosbags_types()
     try:
         return rosbags.store.deserialize_cdr(memoryview(payload) if len(payload) > _LARGE else payload, name)
     except rosbags.error as error:
@@ -326,7 +268,7 @@ def _decoded(payload: bytes, name: str) -> Any:  # noqa: ANN401 - a class that r
 
 def _encoded(message: object, name: str, cells: NDArray[np.int8]) -> bytes:
     """CDR of a message that ends in cells, and has none yet: a map's millions are copied once."""
-    empty = _typestore().serialize_cdr(message, name, little_endian=True)
+    empty = typestore().serialize_cdr(message, name, little_endian=True)
     return b"".join((empty[:-4], struct.pack("<I", cells.size), np.ascontiguousarray(cells).data))
 
 

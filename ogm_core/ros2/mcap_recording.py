@@ -19,6 +19,7 @@ from ogm_core.ros2.recording_messages import (
     encode_scan,
     encode_transforms,
 )
+from ogm_core.ros2.typestore import check_installed
 from ogm_core.types import Pose, PoseStamped, Scan
 
 LIBRARY = "zenoh-ogm"

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ogm_core.errors import BadCdr
-from ogm_core.ros2.cdr import LASER_SCAN, LAST_STAMP, TF_MESSAGE, check_installed
+from ogm_core.ros2.cdr import LASER_SCAN, LAST_STAMP, TF_MESSAGE
+from ogm_core.ros2.typestore import check_installed
 from ogm_core.types import Pose, PoseStamped, Ranges, Scan
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, pose_from_fields, scan_fields, scan_from_fields
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import naive_cdr
 from mutations import SEEDS, mutated
 from ogm_core.errors import BadCdr, MissingExtra
-from ogm_core.ros2 import cdr
+from ogm_core.ros2 import cdr, typestore
 from ogm_core.ros2.cdr import OccupancyGrid, OccupancyGridUpdate, PointField
 from ogm_core.ros2.transform import Transform
 
@@ -254,7 +254,7 @@ def test_a_stamp_past_the_last_of_ros_is_the_last(stamp):
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch):
-    cdr._rosbags.cache_clear()
+    typestore.rosbags_types.cache_clear()
     monkeypatch.setitem(sys.modules, "rosbags.serde", None)
     try:
         with pytest.raises(
@@ -262,7 +262,7 @@ def test_without_the_extra_one_line_says_what_to_install(monkeypatch):
         ):
             cdr.decode_laser_scan(b"")
     finally:
-        cdr._rosbags.cache_clear()
+        typestore.rosbags_types.cache_clear()
 
 
 def test_nobody_needs_the_extra_to_import_the_room():

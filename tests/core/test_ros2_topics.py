@@ -10,6 +10,7 @@ from ogm_core.errors import BadSetting
 from ogm_core.ros2 import bridge_names, cdr, rmw_zenoh_names, services
 from ogm_core.ros2.rmw_zenoh_names import Entity
 from ogm_core.ros2.topics import TYPE_HASHES, Qos, Topic, check_topic, dds_type, ros_type
+from ogm_core.ros2.typestore import typestore
 
 SAMPLES = Path(__file__).parents[1] / "data" / "ros2"
 SCAN_HASH = "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"
@@ -40,7 +41,7 @@ def test_hashes_are_those_that_distributions_have():
 
 
 def test_the_update_s_hash_follows_from_its_definition():
-    types = cdr._rosbags().store
+    types = typestore()
     assert types.hash_rihs01(cdr.OCCUPANCY_GRID_UPDATE) == TYPE_HASHES[cdr.OCCUPANCY_GRID_UPDATE]
 
 

@@ -16,8 +16,8 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, open_session
 from ogm_core.errors import BadInput, BadSetting
 from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.ros2.cdr import check_installed
 from ogm_core.ros2.topics import MAX_DOMAIN, Topic, check_topic
+from ogm_core.ros2.typestore import check_installed
 from ogm_core.wire.addresses import masked
 from ogm_services.ros2.account import Account
 from ogm_services.ros2.bridge import BridgeSource

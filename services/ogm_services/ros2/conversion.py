@@ -17,7 +17,7 @@ from ogm_core.ros2.topics import TF, TF_STATIC, Topic
 from ogm_core.ros2.transform import level
 from ogm_services.ros2.account import Account
 from ogm_services.ros2.options import Ros2Options, matches
-from ogm_services.ros2.pose_source import PoseSource
+from ogm_services.ros2.pose_source import PoseSource, RobotGroup
 from ogm_services.ros2.robots import Robots
 from ogm_services.ros2.sensor_feed import MAX_WAITING, SensorFeed, Waiting
 from ogm_services.ros2.tf_poses import TfPoses
@@ -121,11 +121,11 @@ class Conversion:
         poses = self._poses.get((number, namespace))
         if poses is None:
             where, otherwise = self._networks[number]
-            shared = where, namespace, otherwise, self._robots, self._account, self._options
+            group = RobotGroup(where, namespace, otherwise, self._robots, self._account, self._options)
             if self._options.pose_topics:
-                poses = TopicPoses(*shared)
+                poses = TopicPoses(group)
             else:
-                poses = TfPoses(*shared, self._pose_gap, self._patience.map_wait(namespace))
+                poses = TfPoses(group, self._pose_gap, self._patience.map_wait(namespace))
             self._poses[number, namespace] = poses
         return poses
 

@@ -6,8 +6,8 @@ Cyclone tells others the fields of a type, so these are the true ones.
 from functools import lru_cache
 from typing import Any
 
-from ogm_core.ros2.cdr import field_definitions
 from ogm_core.ros2.topics import dds_type
+from ogm_core.ros2.typestore import field_definitions
 
 
 class CdrSample:

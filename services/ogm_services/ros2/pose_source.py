@@ -1,10 +1,14 @@
 """Pose source: what tells a group of robots' poses, and where their sensors are on them."""
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from ogm_core.ros2.cdr import LaserScan, PointCloud2
 from ogm_core.ros2.transform import Transform
+from ogm_services.ros2.account import Account
 from ogm_services.ros2.mapped_robot import MappedRobot
+from ogm_services.ros2.options import Ros2Options
+from ogm_services.ros2.robots import Robots
 from ogm_services.ros2.sensor_feed import SensorFeed
 
 
@@ -13,6 +17,21 @@ class Mounted(NamedTuple):
 
     robot: MappedRobot
     sensor: str
+
+
+@dataclass(frozen=True, slots=True)
+class RobotGroup:
+    """The robots of one network and namespace, and what all of them share.
+
+    `where`: the network in words; `otherwise`: the name of a robot with neither namespace nor prefix.
+    """
+
+    where: str
+    namespace: str
+    otherwise: str
+    robots: Robots
+    account: Account
+    options: Ros2Options
 
 
 class PoseSource(Protocol):

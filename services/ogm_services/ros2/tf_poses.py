@@ -9,11 +9,9 @@ from ogm_core.ros2.robot_names import prefix_of, robot_name, sensor_name
 from ogm_core.ros2.tf_tree import TfTree
 from ogm_core.ros2.topics import TF_STATIC, Topic
 from ogm_core.ros2.transform import Transform
-from ogm_services.ros2.account import Account
 from ogm_services.ros2.mapped_robot import MappedRobot
-from ogm_services.ros2.options import Ros2Options
-from ogm_services.ros2.pose_source import Mounted
-from ogm_services.ros2.robots import RobotKey, Robots
+from ogm_services.ros2.pose_source import Mounted, RobotGroup
+from ogm_services.ros2.robots import RobotKey
 from ogm_services.ros2.sensor_feed import SensorFeed
 
 MAP_WAIT = 2.0
@@ -34,25 +32,10 @@ class _Followed:
 class TfPoses:
     """What /tf and /tf_static of one source and namespace tell."""
 
-    def __init__(
-        self,
-        where: str,
-        namespace: str,
-        otherwise: str,
-        robots: Robots,
-        account: Account,
-        options: Ros2Options,
-        pose_gap: float,
-        map_wait: float | None = None,
-    ) -> None:
-        """`otherwise`: the name of a robot with neither namespace nor prefix.
-
-        `map_wait`: how long a map frame is waited for, s; None: MAP_WAIT.
-        """
-        self._map_wait = map_wait
-        self._where, self._namespace, self._otherwise = where, namespace, otherwise
-        self._robots, self._account, self._options = robots, account, options
-        self._tree = TfTree(pose_gap=pose_gap, tf_hold=options.tf_hold)
+    def __init__(self, group: RobotGroup, pose_gap: float, map_wait: float | None = None) -> None:
+        """`map_wait`: how long a map frame is waited for, s; None: MAP_WAIT."""
+        self._group, self._map_wait = group, map_wait
+        self._tree = TfTree(pose_gap=pose_gap, tf_hold=group.options.tf_hold)
         self._followed: dict[str, _Followed] = {}
         self._mapless: dict[str, float] = {}
         """Since when a robot's tf has led to its odometry only, s; by prefix."""
@@ -64,7 +47,7 @@ class TfPoses:
             BadCdr: it is none.
         """
         for what, text in self._tree.add(decode_tf_message(payload), static=topic.last == TF_STATIC):
-            self._account.dropped(topic.name, what, text)
+            self._group.account.dropped(topic.name, what, text)
 
     def owner(self, feed: SensorFeed, message: LaserScan | PointCloud2, now: float) -> Mounted:
         """Whose sensor a message is of; `now` in s."""
@@ -73,8 +56,8 @@ class TfPoses:
         followed = self._followed.get(prefix)
         if followed is None or followed.frames.fixed != frames.fixed:
             followed = self._follow(prefix, frames, now)
-        name = robot_name(self._namespace, prefix, self._otherwise)
-        return Mounted(followed.robot, sensor_name(feed.topic.name, self._namespace, name))
+        name = robot_name(self._group.namespace, prefix, self._group.otherwise)
+        return Mounted(followed.robot, sensor_name(feed.topic.name, self._group.namespace, name))
 
     def mount(self, mounted: Mounted, message: LaserScan | PointCloud2, stamp: int) -> Transform:
         """Where the sensor was on its robot at a stamp, ns."""
@@ -100,11 +83,11 @@ class TfPoses:
                 try:
                     followed.robot.send_pose(stamp, pose)
                 except BadMessage as error:
-                    self._account.dropped(f"{followed.robot.name}/pose", "malformed", str(error))
+                    self._group.account.dropped(f"{followed.robot.name}/pose", "malformed", str(error))
 
     def _has_a_map(self, followed: _Followed) -> bool:
         """Whether tf leads further up by now than to a robot's odometry."""
-        names = {"map_frame": self._options.map_frame, "odom_frame": self._options.odom_frame}
+        names = {"map_frame": self._group.options.map_frame, "odom_frame": self._group.options.odom_frame}
         try:
             return not robot_frames(self._tree, followed.frames.base, **names).odometry
         except NoTransform:  # what was known of it is no more
@@ -112,7 +95,7 @@ class TfPoses:
 
     def _frames_of(self, sensor: str) -> RobotFrames:
         """The frames of the robot of a sensor; of a sensor that is not in tf, those of its base by name."""
-        names = {"map_frame": self._options.map_frame, "odom_frame": self._options.odom_frame}
+        names = {"map_frame": self._group.options.map_frame, "odom_frame": self._group.options.odom_frame}
         try:
             return robot_frames(self._tree, sensor, **names)
         except NoTransformYet:
@@ -125,11 +108,11 @@ class TfPoses:
     def _follow(self, prefix: str, frames: RobotFrames, now: float) -> _Followed:
         wait = MAP_WAIT if self._map_wait is None else self._map_wait
         if frames.odometry and now - self._mapless.setdefault(prefix, now) < wait:
-            text = f"tf leads up to {frames.fixed} only; {self._options.map_frame} is waited for"
+            text = f"tf leads up to {frames.fixed} only; {self._group.options.map_frame} is waited for"
             raise NoTransformYet(text, "no map")
-        key = RobotKey(self._where, self._namespace, prefix)
-        name = robot_name(self._namespace, prefix, self._otherwise)
-        robot = self._robots.take_on(key, name, frames.fixed, odometry=frames.odometry)
+        key = RobotKey(self._group.where, self._group.namespace, prefix)
+        name = robot_name(self._group.namespace, prefix, self._group.otherwise)
+        robot = self._group.robots.take_on(key, name, frames.fixed, odometry=frames.odometry)
         followed = self._followed[prefix] = _Followed(robot, frames, BasePoses(self._tree, frames))
         return followed
 
