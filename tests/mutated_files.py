@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from bag_files import read_bag
 from mutations import mutated
 from ogm_client import MapGrid
 from ogm_core.errors import OgmError
@@ -40,6 +41,7 @@ from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.recorder.repair import repair_recording
 from ogm_services.ros2.mcap_reader import McapReader, holds_recording
 from ogm_services.settings.settings import Settings
+from whole_bags import whole_bags
 
 MEMORY = 3 * 1024**3
 """What readers may take of address space, bytes, beside what the process has before."""
@@ -192,6 +194,7 @@ def readers() -> dict[str, Reader]:
         "g2o": Reader({"a.g2o": _graph()}, _read_log),
         "MCAP recording": Reader({"a.mcap": _mcap()}, _read_mcap),
         "MCAP recording, repaired": Reader({"a.mcap": _mcap()}, repair_recording),
+        **{kind: Reader(files, read_bag) for kind, files in whole_bags().items()},
     }
 
 

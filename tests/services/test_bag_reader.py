@@ -10,7 +10,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 
 import turtlebot4
-from bag_files import STORE, Said, at, drive, edge, mount, scan, tf, write_bag
+from bag_files import Said, at, drive, edge, mount, scan, tf, write_bag
 from bag_files import read_bag as read
 from gateway_desk import MS, Listed
 from ogm_core.errors import BadRecording
@@ -24,6 +24,7 @@ from ogm_services.ros2.gateway import Gateway, NamedSource
 from ogm_services.ros2.options import Ros2Options
 from ogm_services.ros2.robots import Robots
 from ogm_services.runtime.limited_log import LimitedLog
+from whole_bags import ros1
 
 
 def as_told(found):
@@ -175,18 +176,11 @@ def test_parts_of_a_split_bag_are_joined_in_their_order(tmp_path):
 
 def test_ros_1(tmp_path):
     """Its headers are longer, and tf was called tf/tfMessage once."""
-    said, path, connections = [mount(), *drive()], tmp_path / "drive.bag", {}
-    with Writer1(path) as writer:
-        for message in said:
-            old = message.type.replace("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-            if message.topic not in connections:
-                text, digest = STORE.generate_msgdef(message.type, ros_version=1)
-                connections[message.topic] = writer.add_connection(
-                    message.topic, old, msgdef=text, md5sum=digest
-                )
-            raw = STORE.cdr_to_ros1(message.payload, message.type)
-            writer.write(connections[message.topic], message.time, raw)
-    assert as_told(read(path).found) == as_told(read(write_bag(tmp_path / "two", said)).found)
+    said = [mount(), *drive()]
+    expected = as_told(read(write_bag(tmp_path / "two", said)).found)
+    assert as_told(read(ros1(tmp_path / "drive.bag", said)).found) == expected
+    for packing in Writer1.CompressionFormat:
+        assert as_told(read(ros1(tmp_path / f"{packing.name}.bag", said, packing)).found) == expected
 
 
 def test_what_is_no_bag_is_told_in_a_line(tmp_path):

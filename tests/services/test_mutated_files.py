@@ -14,7 +14,7 @@ def test_mutated_files_are_read_or_refused():
     )
     assert run.returncode == 0, run.stderr[-5000:]
     *kinds, memory = run.stdout.splitlines()
-    assert len(kinds) == 19
+    assert len(kinds) == 24
     for line in kinds:
         assert re.fullmatch(r"[\w ,.]+: \d+ \w+(, \d+ \w+)*", line)
     assert " Bad" in run.stdout
