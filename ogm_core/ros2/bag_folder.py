@@ -9,12 +9,16 @@ from typing import Any
 import yaml
 
 from ogm_core.errors import BadRecording, cut, printable
+from ogm_core.units import MEBIBYTE
 
 METADATA = "metadata.yaml"
 DATA_SUFFIXES = (".db3", ".mcap")
+MAX_METADATA = 16 * MEBIBYTE
+"""A longer metadata.yaml is none."""
 _PACKED = ".zstd"
 """What rosbag2 adds to the name of a data file that it compressed as a whole."""
-_SHOWN = 3
+_SHOWN = 12
+"""Names that are listed at most."""
 _ERRORS = (*(yaml.YAMLError, OSError, ValueError, TypeError, LookupError), AttributeError, RecursionError)
 
 
@@ -56,8 +60,15 @@ def bag_folder(folder: Path) -> BagFolder:
         raise BadRecording(text)
     bags = sorted({re.sub(r"_?\d+$", "", each.stem) + each.suffix for each in found})
     if len(bags) > 1:
-        raise BadRecording(f"{folder}: holds data files of several bags ({_listed(bags)}): give one of them")
+        raise BadRecording(f"{folder}: holds data files of several bags ({listed(bags)}): give one of them")
     return BagFolder(tuple(found), notes=notes)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a row, the first ones of them."""
+    shown = [cut(printable(name)) for name in sorted(names)]
+    more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
+    return ", ".join(shown[:_SHOWN]) + more
 
 
 def _as_told(folder: Path, found: list[Path]) -> BagFolder:
@@ -73,15 +84,17 @@ def _as_told(folder: Path, found: list[Path]) -> BagFolder:
     notes = []
     missing = [name for name in names if name not in by_name]
     if missing:
-        notes.append(f"missing, though {METADATA} names them: {_listed(missing)}")
+        notes.append(f"missing, though {METADATA} names them: {listed(missing)}")
     beside = [name for name in by_name if name not in names]
     if beside:
-        notes.append(f"not read, as {METADATA} does not name them: {_listed(beside)}")
+        notes.append(f"not read, as {METADATA} does not name them: {listed(beside)}")
     mode = str(told.get("compression_mode") or "none").lower()
     return BagFolder(files, mode != "none", notes)
 
 
 def _loaded(path: Path) -> Any:  # noqa: ANN401 - what YAML holds
+    if path.stat().st_size > MAX_METADATA:
+        raise ValueError(f"it has more than {MAX_METADATA} bytes")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     return yaml.load(path.read_text("utf-8"), loader)
 
@@ -96,9 +109,3 @@ def _by_number(file: Path) -> tuple[int, str]:
     """Where a data file stands among those of a bag that was split: bag_10 after bag_9."""
     number = re.search(r"(\d+)$", file.stem)
     return (int(number[1]) if number else -1, file.name)
-
-
-def _listed(names: Iterable[str]) -> str:
-    shown = [cut(printable(name)) for name in names]
-    more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
-    return ", ".join(shown[:_SHOWN]) + more

@@ -183,7 +183,8 @@ class McapFile:
             self._schemas[number] = name
         elif kind == records.CHANNEL:
             channel = records.channel(record)
-            self._channels.setdefault(channel.id, channel)
+            if self._channels.setdefault(channel.id, channel) != channel:
+                raise DamagedRecord(f"channel {channel.id} is described twice, in two ways")
 
     def _note(self, block: _Block, message: records.Message) -> None:
         if message.channel not in self._channels:

@@ -114,6 +114,7 @@ def test_a_flipped_byte_in_a_chunk_is_damage(tmp_path, compression):
         (mcap.chunk(NAMES, "br\notli"), r"compressed by 'br\?otli', which is none of lz4 and zstd"),
         (mcap.chunk(NAMES[:-3]), "a record ends past its chunk"),
         (mcap.record(0x06, b"short"), "a record is too short for its kind"),
+        (mcap.channel(3, 1, "/other") + NAMES, "channel 3 is described twice, in two ways"),
         (said(9, 1), "a message is of channel 9, which is not described"),
         (mcap.record(0x05, b"short"), "a record is too short for its kind"),
         (mcap.record(0x04, b"\1\0\1\0\xff\xff\xff\xff"), "a text ends past its record"),
@@ -127,6 +128,12 @@ def test_what_cannot_be_is_told_in_a_line(tmp_path, part, why):
         opened(tmp_path / "a.mcap", mcap.whole(part, NAMES))
     assert "a damaged MCAP" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_channels_may_be_described_again(tmp_path):
+    """As writers do in each chunk, and in the summary."""
+    with opened(tmp_path / "a.mcap", mcap.whole(NAMES, said(3, 1), mcap.chunk(NAMES + said(3, 2)))) as file:
+        assert [time for time, _ in told(file)] == [1, 2]
 
 
 def test_what_is_of_no_use_is_passed_over(tmp_path):

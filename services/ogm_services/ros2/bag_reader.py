@@ -15,9 +15,10 @@ from ogm_core.logs.renaming import Renaming, check_range_max
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.bag_files import BagFile, BagMessage
+from ogm_core.ros2.bag_folder import listed
 from ogm_core.types import PoseStamped, Scan
 from ogm_services.ros2.account import SENT, Account
-from ogm_services.ros2.bag_topics import chosen_scans, edges_in, has_frame, is_static, listed, told
+from ogm_services.ros2.bag_topics import chosen_scans, edges_in, has_frame, is_static, told
 from ogm_services.ros2.conversion import Conversion, Network, Patience
 from ogm_services.ros2.options import Ros2Options, matches
 from ogm_services.ros2.robots import Robots

@@ -3,14 +3,12 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from ogm_core.errors import BadCdr, BadRecording, cut, printable
+from ogm_core.errors import BadCdr, BadRecording
 from ogm_core.ros2 import cdr
 from ogm_core.ros2.bag_files import BagFile, BagTopic
+from ogm_core.ros2.bag_folder import listed
 from ogm_core.ros2.topics import TF, TF_STATIC, Topic
 from ogm_services.ros2.options import matches
-
-_SHOWN = 12
-"""Names that are listed at most."""
 
 
 class Edge(NamedTuple):
@@ -97,10 +95,3 @@ def is_static(topic: BagTopic) -> bool:
 def has_frame(frames: Iterable[str], name: str) -> bool:
     """Whether a frame is among some, with a prefix or without."""
     return any(frame == name or frame.endswith(f"/{name}") for frame in frames)
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names in a row, the first ones of them."""
-    shown = [cut(printable(name)) for name in sorted(names)]
-    more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
-    return ", ".join(shown[:_SHOWN]) + more
