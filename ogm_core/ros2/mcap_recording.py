@@ -37,7 +37,7 @@ def check_writable() -> None:
     Raises:
         MissingExtra: mcap or rosbags is not installed.
     """
-    cdr.check_installed()
+    check_installed()
     mcap_package()
 
 
