@@ -106,18 +106,31 @@ def test_squares_of_a_map_that_grows_in_all_directions(model):
     """One pyramid all the time: what has changed is made anew, and what has not is still right."""
     rng = np.random.default_rng(4)
     grid, pyramid, old = grid_of(model), TilePyramid(), []
-    for k in range(14):
+    for k in range(11):
         drive(grid, rng, k, 1.0 + 5 * k)
-        if k == 9:
+        if k == 6:
             grid.erase(Polygon.of_region(Region(-20.0, -20.0, 20.0, 5.0), grid.lattice))
         if k % 3 == 1:
             snap = grid.snapshot()
-            check(pyramid, snap, levels=(1, 2, 4, 6))
+            check(pyramid, snap, levels=(1, 4, 6))
             old.append((snap, {level: list(squares_of(snap.rect, level)) for level in (1, 6)}))
     for snap, squares in old:  # readers of older maps
         for square in itertools.chain(*squares.values()):
             assert np.array_equal(pixels(pyramid, snap, square), pixels(TilePyramid(), snap, square))
-    check(pyramid, snap, levels=(1, 2))
+    check(pyramid, snap, levels=(2,))
+
+
+def test_an_overview_is_made_anew_when_a_cell_beyond_its_tile_has_changed():
+    """By a model whose probability looks one cell around: the edge of tiles lies between cells 63 and 64."""
+    grid, pyramid, square = grid_of(Counts()), TilePyramid(), Square(15, 0, -1)
+    seen = []
+    for x, theta, length in ((6.25, 0.0, 0.2), (6.85, math.pi, 0.4)):  # to cell 64, from either side
+        one = Scan(0, 0.0, 1.0, 0.0, 8.0, np.array([length], np.float32))
+        grid.integrate(one, Pose(x, 3.25, theta))
+        snap = grid.snapshot()
+        seen.append(pixels(pyramid, snap, square))
+        assert np.array_equal(seen[-1], by_shrinking(snap, square))
+    assert seen[0][255 - 16, 31] not in (0, seen[1][255 - 16, 31])
 
 
 def test_a_reader_of_a_map_from_before_it_was_laid_out_anew():
@@ -187,22 +200,22 @@ class TestRevisions:
         """Of a map that forgets a tick, every three scans here, is another revision of all tiles."""
         rng = np.random.default_rng(8)
         grid, seen, pyramid = grid_of(model, half_life=half_life), {}, TilePyramid()
-        for k in range(40):
+        for k in range(30):
             drive(grid, rng, k, 4.0 + k)
-            if k in (15, 30):
+            if k in (11, 22):
                 x, y = rng.uniform(-20, 15, 2).tolist()
                 grid.erase(Polygon.of_region(Region(x, y, x + 6.0, y + 9.0), grid.lattice))
             if k % 2:
                 continue
             snap = grid.snapshot()
-            for square in squares_of(CellRect(-300, -300, 600, 600), 0):
+            for square in squares_of(CellRect(-256, -256, 512, 512), 0):
                 revision = revision_of(snap.stored.tiles, snap.model, square)
                 found = pixels(TilePyramid(), snap, square).tobytes()
                 assert seen.setdefault((square, revision), found) == found
                 assert revision is not None or not any(found)
             square = Square(15, 0, -1)
             assert np.array_equal(pixels(pyramid, snap, square), by_shrinking(snap, square))
-        assert len(seen) > 40
+        assert len(seen) > 30
 
     def test_it_is_that_of_the_scan_that_wrote_last_into_the_square(self):
         grid = grid_of(LogOdds())
