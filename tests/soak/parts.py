@@ -15,6 +15,7 @@ from docs.variants import markdown
 from tests.soak.http_schema import requests_made_up
 from tests.soak.missed import Happens, Outcome, scenes
 from tests.soak.overload import HONEST, HONEST_RATE, Report, overloaded
+from tests.soak.recorded import recorders_killed
 
 FULL = 600.0
 """How long each load is at full length, s."""
@@ -108,6 +109,14 @@ def missed(seconds: float) -> Part:
     return Part({"missed": markdown(rows)}, wrong)
 
 
+def recorded(seconds: float) -> Part:
+    """Recorders that are killed while a robot publishes at 20 Hz."""
+    found = recorders_killed(seconds)
+    heads = ["recorders killed", "scans read back", "most scans lost at a kill", "gaps", "not made whole"]
+    row = [found.kills, found.scans, found.most_lost, found.gaps, found.not_repaired]
+    return Part({"recorded": markdown([heads, [f"{count:,}" for count in row]])}, found.failures())
+
+
 def _outcome(what: str, happens: Happens) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         found = happens(Path(folder))
@@ -157,4 +166,5 @@ PARTS: dict[str, Callable[[float], Part]] = {
     "stores": stores,
     "overload": overload,
     "missed": missed,
+    "recorded": recorded,
 }
