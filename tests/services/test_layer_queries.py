@@ -230,7 +230,10 @@ def test_formats(cross):
     assert cross.http.get("/distance.gif").status_code == cross.http.get("/distance").status_code == 404
     problem = cross.problem("distance", "format=json")
     assert (problem["status"], problem["detail"]) == (404, "format: one of png, npz is needed, got 'json'")
-    assert cross.answer("distance").payload.to_bytes() == cross.http.get("/distance.npz").content
+    for layer in LAYERS:
+        problem = cross.problem(layer, "radius=1")
+        assert (problem["status"], problem["type"]) == (400, "bad-parameter")
+        assert problem["detail"] == "format: missing: it says in which one the answer is to be"
 
 
 def test_a_reply_that_is_no_mappers(cross, monkeypatch):

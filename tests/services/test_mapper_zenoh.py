@@ -145,13 +145,13 @@ def test_a_wildcard_is_answered_on_concrete_keys_and_resets_nothing(cross, patte
     answers = {str(reply.ok.key_expr): reply.ok for reply in replies if reply.ok is not None}
     mine = {key for key in answers if key.startswith("ogm/v1/hall/alive/mapper/")}
     assert len(mine) == ("**" in pattern)
-    whole = {f"ogm/v1/hall/{name}" for name in ("map", "quality", "status", "distance")}
+    whole = {f"ogm/v1/hall/{name}" for name in ("map", "quality", "status")}
     assert set(answers) - mine == whole
     assert answers["ogm/v1/hall/map"].payload.to_bytes() == cross.http.get("/map.json").content
-    # `cell` and `raycast` lack coordinates, `check` its body, `inflate` its radius; there are no `snapshots`;
-    # the others are writes.
+    # `cell` and `raycast` lack coordinates, `check` its body, `distance` and `inflate` a format; there are no
+    # `snapshots`; the others are writes.
     refused = [reply for reply in replies if reply.ok is None]
-    assert sorted(told(reply) for reply in refused) == ["bad-parameter"] * (4 + len(WRITES)) + ["not-stored"]
+    assert sorted(told(reply) for reply in refused) == ["bad-parameter"] * (5 + len(WRITES)) + ["not-stored"]
     texts = "".join(reply.err.payload.to_string() for reply in refused)
     assert all(texts.count(f"ask for exactly ogm/v1/hall/{write}") == 1 for write in WRITES)
     assert (cross.status()["epoch"], cross.status()["revision"]) == (before, 3)

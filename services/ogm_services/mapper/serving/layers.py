@@ -33,7 +33,6 @@ from ogm_services.replies.answer import Parameters, UnknownName
 
 LAYER_FORMATS: Mapping[str, str] = {"png": "image/png", "npz": "application/x-npz"}
 """Their media types."""
-DEFAULT_FORMAT = "npz"
 PICTURE_DISTANCE = 2.55
 """How far the picture of distances tells them apart unless told otherwise, m: a level of grey is 1 cm."""
 _BYTES_A_RESULT = 12

@@ -7,10 +7,10 @@ from itertools import islice
 
 import zenoh
 
+from ogm_core.errors import BadParameter
 from ogm_core.wire.keys import MapKeys, Write
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.checks import MAX_BODY
-from ogm_services.mapper.serving.layers import DEFAULT_FORMAT
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
@@ -45,8 +45,9 @@ class ZenohRoutes:
         declare(key("status"), answers.status, shares.status)
         declare(key("snapshots"), answers.snapshots, shares.maps)
         declare(key("raycast"), answers.queries.raycast, shares.maps)
-        declare(key("distance"), _in_format(answers.queries.distance, DEFAULT_FORMAT), shares.maps)
-        declare(key("inflate"), _in_format(answers.queries.inflate, DEFAULT_FORMAT), shares.maps)
+        # Nobody who asks for whatever there is has them computed: they take long.
+        declare(key("distance"), _in_format(answers.queries.distance), shares.maps)
+        declare(key("inflate"), _in_format(answers.queries.inflate), shares.maps)
         self._queryables.declare_with_body(key("check"), answers.queries.check, shares.maps, MAX_BODY)
         for name, write in writes.items():
             declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
@@ -70,11 +71,15 @@ class ZenohRoutes:
         self._declared.close()
 
 
-def _in_format(made: Callable[[str, Parameters], Answer], default: str) -> Callable[[Parameters], Answer]:
-    """What is made in a format, for queries that name it in a parameter."""
+def _in_format(
+    made: Callable[[str, Parameters], Answer], default: str | None = None
+) -> Callable[[Parameters], Answer]:
+    """What is made in a format, for queries that name it in a parameter; without a default they must."""
 
     def answer(given: Parameters) -> Answer:
-        rest = {name: value for name, value in given.items() if name != "format"}
-        return made(given.get("format", default), rest)
+        form = given.get("format", default)
+        if form is None:
+            raise BadParameter("format: missing: it says in which one the answer is to be")
+        return made(form, {name: value for name, value in given.items() if name != "format"})
 
     return answer
