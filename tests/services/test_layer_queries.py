@@ -287,6 +287,25 @@ def test_no_layer_takes_more_to_make_than_is_held_for_it(layer, form, region, mo
     assert sizes[-1] <= 60 * MIB  # of 2.25 million cells
 
 
+@pytest.mark.parametrize("query", ["raycast", "check"])
+def test_no_ray_nor_check_takes_more_than_is_held_for_it(query, monkeypatch):
+    desk, sizes = Desk(150.0), []
+    monkeypatch.setattr(desk.in_flight, "making", lambda size: sizes.append(size) or ExitStack())
+    ask = {
+        "raycast": lambda: desk.queries.raycast({"x": "1", "y": "0", "n": "900", "angle_increment": "0.01"}),
+        "check": lambda: desk.queries.check({}, b'{"points": [[0, 0], [150, 150]]}'),
+    }[query]
+    ask()  # kernels are compiled
+    tracemalloc.start()
+    try:
+        ask()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert sizes[-1] > 2e6  # it looks at all of the map
+    assert peak <= sizes[-1] + 4 * MIB
+
+
 def test_what_has_no_room_is_not_begun_and_what_is_large_takes_its_turn(monkeypatch):
     desk = Desk(50.0, limit=MIB)
     with (
