@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE, OCCUPIED, trinary
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.log_odds import probability_of
 from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.lattice import CellRect, Lattice
@@ -54,24 +54,22 @@ class RayCaster:
 
     def cast(self, theta: float) -> tuple[int, float]:
         """Where the ray along `theta`, rad, ends, and its range, m; its first cell is not asked."""
-        height, width = self._log_odds.shape
-        distances, columns, rows = self._way(theta)
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        # Who has left a rectangle never comes back: the first `n` cells are inside.
-        n = np.count_nonzero(inside)
+        distances, columns, rows, n = self._way(theta)
+        # As `cells.classes.trinary` has it; NaN, of what is unknown, is neither.
         p = probability_of(self._log_odds[rows[:n], columns[:n]])
-        states = trinary(p, ~np.isnan(p))
-        stops = np.flatnonzero(states == OCCUPIED if self._through_unknown else states != FREE)
-        if stops.size:
-            end = stops[0]
-            found = FOUND_WALL if states[end] == OCCUPIED else FOUND_UNKNOWN
-            return found, self._metres(distances[end])
+        stops = p > OCCUPIED_ABOVE if self._through_unknown else ~(p < FREE_BELOW)
+        end = int(stops.argmax()) if n else 0
+        if n and stops[end]:
+            return FOUND_WALL if p[end] > OCCUPIED_ABOVE else FOUND_UNKNOWN, self._metres(distances[end])
         if n < distances.size and not self._through_unknown:
             return FOUND_UNKNOWN, self._metres(distances[n])
         return FOUND_NOTHING, float(self._max_range)
 
-    def _way(self, theta: float) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """The cells that the ray enters, in order: at which distance, in cells, and [column], [row]."""
+    def _way(self, theta: float) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], int]:
+        """The cells that the ray enters, in order: at which distance, in cells, and [column], [row].
+
+        Who has left a rectangle never comes back: the first so many of them, last, are inside.
+        """
         height, width = self._log_odds.shape
         (u, v), (du, dv) = self._start, (math.cos(theta), math.sin(theta))
         longest = self._max_range / self._resolution
@@ -84,7 +82,9 @@ class RayCaster:
         in_u = order < along_u.size
         columns = self._cell[0] - self._offset[0] + (1 if du > 0.0 else -1) * np.cumsum(in_u)
         rows = self._cell[1] - self._offset[1] + (1 if dv > 0.0 else -1) * np.cumsum(~in_u)
-        return distances[: order.size], columns, rows
+        inside = (columns < width) if du > 0.0 else (columns >= 0)
+        inside &= (rows < height) if dv > 0.0 else (rows >= 0)
+        return distances[: order.size], columns, rows, int(np.count_nonzero(inside))
 
     def _metres(self, distance: float) -> float:
         return abs(float(distance)) * self._resolution  # from a line westward it is -0.0
