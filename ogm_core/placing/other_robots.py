@@ -4,8 +4,7 @@ Where another robot was when a beam was taken, its pose history says as it is wh
 So what is skipped depends on the order in which messages of several robots come.
 """
 
-import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,6 +15,7 @@ from ogm_core.placing.hints import Hint
 from ogm_core.placing.pose_history import PoseHistory
 from ogm_core.placing.robot import Robot
 from ogm_core.placing.robot_rules import RobotRules
+from ogm_core.placing.whereabouts import Whereabouts
 from ogm_core.types import PlacedScan, Scan
 
 APART_NS = 1_000_000_000
@@ -56,28 +56,38 @@ class OtherRobots:
         self.rules = rules
         self._mark_hits = mark_hits
         self._replaced = replaced
+        self._whereabouts = Whereabouts(rules)
         self._apart: dict[tuple[str, str], tuple[int, int]] = {}
         """Of pairs far apart: the other's newest stamp when last looked at, and how often it rose."""
 
+    def moved(self, robot: str) -> None:
+        """Note that what is known of a robot's poses has changed."""
+        self._whereabouts.moved(robot)
+
+    def forget(self, robot: str) -> None:
+        """Know nothing of a robot any more."""
+        self._whereabouts.forget(robot)
+
     def without(
-        self, name: str, robot: Robot, robots: Iterable[tuple[str, Robot]], placed: PlacedScan
+        self, name: str, robot: Robot, known: Callable[[str], Robot | None], placed: PlacedScan
     ) -> WithoutRobots:
-        """A scan of a robot, without the beams that ended at another one of `robots`."""
+        """A scan of a robot, without the beams that ended at another one; `known` tells what is of each."""
         scan = placed.scan
-        own = robot.poses.newest if scan.pose is None else scan.stamp
-        there: list[tuple[PoseHistory, float]] = []
-        hints: tuple[Hint, ...] = ()
-        for other, known in robots:
-            radius, newest = self.rules.radius_of(other), known.poses.newest
-            if radius is None or newest is None or other == name:
-                continue
-            if own is None or abs(newest - own) <= APART_NS:
-                there.append((known.poses.history, radius))
-            elif self._goes_on(name, other, newest):
-                hints += (Hint("robot_clock", _CLOCK.format(abs(newest - own) / 1e9, other)),)
-        ways, times = _ways(placed, there)
+        newest = robot.poses.newest
+        own = scan.stamp if scan.pose is not None or newest is None else newest
+        first = scan.stamp if placed.sweep is None else min(scan.stamp, scan.end_stamp)
+        found = self._whereabouts.look(
+            name, known, (own, APART_NS, first), _box(placed), scan.range_max + _ROUNDING
+        )
+        hints = tuple(
+            Hint("robot_clock", _CLOCK.format(abs(newest - own) / 1e9, other))
+            for other, newest in found.apart
+            if self._goes_on(name, other, newest)
+        )
+        ways = _ways(placed, found.near)
         if not ways:
             return WithoutRobots(scan, 0, hints)
+        times = np.zeros(scan.ranges.size) if placed.sweep is None else scan.beam_times
         marked = np.zeros(scan.ranges.size, np.bool_)
         self._mark_hits(placed, np.array(ways), times, marked)
         skipped = int(np.count_nonzero(marked))
@@ -97,27 +107,29 @@ class OtherRobots:
         return newest != before and times == APART_IN_A_ROW
 
 
-def _ways(
-    placed: PlacedScan, there: list[tuple[PoseHistory, float]]
-) -> tuple[list[tuple[float, ...]], NDArray[np.float64]]:
-    """Ways of robots, and times of the beams, for `MarkHits`; there are no rows if nobody may have been seen.
+def _ways(placed: PlacedScan, near: list[tuple[PoseHistory, float]]) -> list[tuple[float, ...]]:
+    """Ways of robots for `MarkHits`, while the scan was taken.
 
     Where the map takes the beams one after the other, each has its own time; else all have the scan's stamp.
     """
-    scan, (x, y, _) = placed.scan, placed.pose
-    if placed.sweep is None:
-        farthest = scan.range_max + _ROUNDING
-        rows: list[tuple[float, ...]] = []
-        for n, (history, radius) in enumerate(there):
-            pose = history.about(scan.stamp)
-            if pose is not None and math.hypot(pose.x - x, pose.y - y) <= farthest + radius:
-                rows.append((n, radius, 0.0, 0.0, pose.x, pose.y, pose.x, pose.y))
-        return rows, np.zeros(scan.ranges.size if rows else 0)
+    scan, rows = placed.scan, list[tuple[float, ...]]()
     first, last = sorted((0, scan.end_stamp - scan.stamp))
-    pieces = [
-        (n, radius, history.pieces(scan.stamp, first, last)) for n, (history, radius) in enumerate(there)
-    ]
-    return [(n, radius, *piece) for n, radius, each in pieces for piece in each], scan.beam_times
+    for n, (history, radius) in enumerate(near):
+        if placed.sweep is not None:
+            rows += [(n, radius, *piece) for piece in history.pieces(scan.stamp, first, last)]
+        elif (pose := history.about(scan.stamp)) is not None:
+            rows.append((n, radius, 0.0, 0.0, *pose[:2], *pose[:2]))
+    return rows
+
+
+def _box(placed: PlacedScan) -> tuple[float, float, float, float]:
+    """A box around the sensor while it measured, xmin, ymin, xmax, ymax."""
+    if placed.sweep is None:
+        x, y, _ = placed.pose
+        return x, y, x, y
+    places = placed.sweep.beams[:, :2]
+    (xmin, ymin), (xmax, ymax) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    return xmin, ymin, xmax, ymax
 
 
 def _without(scan: Scan, marked: NDArray[np.bool_]) -> Scan:

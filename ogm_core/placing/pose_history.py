@@ -23,6 +23,8 @@ SPAN_NS = 60_000_000_000
 POSE_BYTES = 8 + 3 * 8 + 1
 """A stamp, x, y, theta, and whether the stamp is ambiguous."""
 _LEAST_ROOM = 16
+_LATELY = 16
+"""So many poses are those of late."""
 _new = tuple.__new__  # Pose() takes three times as long
 _write_pose = Struct("3d").pack_into
 _read_pose = Struct("3d").unpack_from
@@ -208,6 +210,13 @@ class PoseHistory:
                 return self.at(stamp)
         there = abs(stamp - newest) <= STILL_THERE_NS and not self._ambiguous[end - 1]
         return self._newest_pose if there else None
+
+    def lately(self) -> tuple[int, tuple[float, float, float, float]]:
+        """From which stamp on a robot with a pose was in a box, and that: xmin, ymin, xmax, ymax."""
+        begin, end = max(self._start, self._end - _LATELY), self._end
+        xs, ys = self._poses[3 * begin : 3 * end : 3], self._poses[3 * begin + 1 : 3 * end : 3]
+        since = self._stamps[begin] if begin > self._start else -1
+        return since, (min(xs), min(ys), max(xs), max(ys))
 
     def pieces(self, stamp: int, first: int, last: int) -> list[Piece]:
         """What `about` says of all times from `first` to `last`, which are told in ns after `stamp`.

@@ -119,6 +119,8 @@ class ScanPlacer:
             self._complain(f"{name}/pose", *verdict.reason)
         if not verdict.taken:
             return
+        if self._other_robots is not None:
+            self._other_robots.moved(name)
         robot.pose_heard = now
         if verdict.began is not None:
             self._begin(name, robot, verdict)
@@ -235,6 +237,9 @@ class ScanPlacer:
         Robots that are too many are left out.
         """
         self._messages = self._robots.restore(state, now)
+        if self._other_robots is not None:
+            for name in state:
+                self._other_robots.moved(name)
 
     def _take_skipped(self, now: float | None = None) -> None:
         """Take the messages for decided that will never come."""
@@ -250,6 +255,8 @@ class ScanPlacer:
             self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
         if self._receipts.forget(name, now) and robot is not None:
             self._robots.forget(name)
+            if self._other_robots is not None:
+                self._other_robots.forget(name)
             for source in robot.sources.values():
                 self._hints.forget(source.name)
 
@@ -374,7 +381,7 @@ class ScanPlacer:
             skipped, told = 0, tuple[Hint, ...]()
             if self._other_robots is not None:
                 placed = PlacedScan(scan, pose, sweep)
-                scan, skipped, told = self._other_robots.without(name, robot, self._robots.items(), placed)
+                scan, skipped, told = self._other_robots.without(name, robot, self._robots.get, placed)
             self._sink.integrate(scan, pose, sweep)
         except ScanRefused as refusal:
             self._drop(name, sensor, cast(DropReason, refusal.slug), Reason(refusal.kind, str(refusal)))
