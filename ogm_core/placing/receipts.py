@@ -237,8 +237,11 @@ class Receipts:
     def scan_integrated(self, robot: str, sensor: str, beams_on_robots: int = 0) -> None:
         """Count a scan that is in the map, but for so many beams that ended at other robots."""
         with self._lock:
-            for counts in (self._scans, self._changing(robot, sensor)):
-                counts.integrated += 1
+            counts = self._changing(robot, sensor)
+            self._scans.integrated += 1
+            counts.integrated += 1
+            if beams_on_robots:
+                self._scans.beams_on_robots += beams_on_robots
                 counts.beams_on_robots += beams_on_robots
 
     def scan_dropped(self, robot: str, sensor: str, reason: DropReason) -> None:

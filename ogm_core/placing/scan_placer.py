@@ -24,6 +24,7 @@ from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan, Sweep
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
 
+_NO_HINTS: tuple[Hint, ...] = ()
 RECENT_NS = 10_000_000_000
 """A robot whose newest stamp is older than another's by no more than that has been heard of lately."""
 
@@ -378,7 +379,7 @@ class ScanPlacer:
         try:
             base, sweep = self._pose_of(robot, scan)
             pose = base.compose(scan.mount)
-            skipped, told = 0, tuple[Hint, ...]()
+            skipped, told = 0, _NO_HINTS
             if self._other_robots is not None:
                 placed = PlacedScan(scan, pose, sweep)
                 scan, skipped, told = self._other_robots.without(name, robot, self._robots.get, placed)
@@ -391,7 +392,9 @@ class ScanPlacer:
         else:
             self._receipts.scan_integrated(name, sensor, skipped)
             self._integrated(handed)
-            for hint in (*told, *self._hints.placed(robot.sources[sensor].name, scan, pose)):
+            for hint in told:
+                self._hint(name, sensor, hint)
+            for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
                 self._hint(name, sensor, hint)
 
     @staticmethod
