@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.sensor_rules import ROUNDING
 from ogm_core.types import Pose, Scan
 
@@ -60,10 +61,16 @@ class _Seen:
 
 
 class Hints:
-    """Looks at scans as the map reads them. `agreement` asks the map; `sector`: it reads scans as sectors."""
+    """Looks at scans as the map reads them. `agreement` asks the map; `sector`: it reads scans as sectors.
 
-    def __init__(self, agreement: Agreement | None = None, *, sector: bool = False) -> None:
+    `clocks` are those of a map that forgets.
+    """
+
+    def __init__(
+        self, agreement: Agreement | None = None, *, sector: bool = False, clocks: ClockHints | None = None
+    ) -> None:
         self._agreement = agreement
+        self._clocks = clocks
         self._sector = sector
         self._sources: dict[str, _Seen] = {}
 
@@ -93,8 +100,22 @@ class Hints:
     def forget(self, source: str) -> None:
         """Forget what was seen of a source."""
         self._sources.pop(source, None)
+        if self._clocks is not None:
+            self._clocks.forget(source)
 
     def placed(self, source: str, scan: Scan, pose: Pose) -> Sequence[Hint]:
+        """Look at a scan that is in the map: how far its stamp is from the map's time, and what is below."""
+        hints = self._agreeing(source, scan, pose)
+        seen = self._sources.get(source)
+        if self._clocks is None or seen is None or "map_clock" in seen.told:
+            return hints
+        clock = self._clocks.placed(source, scan)
+        if clock is None:
+            return hints
+        seen.told.add("map_clock")
+        return (*hints, Hint("map_clock", clock))
+
+    def _agreeing(self, source: str, scan: Scan, pose: Pose) -> Sequence[Hint]:
         """Ask the map about a scan that is in it, if most of its source's beams have no return; likewise."""
         if self._agreement is None:
             return ()

@@ -12,6 +12,7 @@ from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.model import row_bands
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
+from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
 from ogm_core.queries.rays import FOUND_UNKNOWN, FOUND_WALL
@@ -161,10 +162,17 @@ def agreement_of_hits(snapshot: MapSnapshot, scan: Scan, pose: Pose) -> tuple[in
     return agreeing, judged
 
 
-def hints_by(snapshot: Callable[[], MapSnapshot], settings: GridSettings) -> Hints:
-    """Hints at sensors, by what the map of this moment says of their hits; `snapshot` takes it."""
+def hints_by(
+    snapshot: Callable[[], MapSnapshot], settings: GridSettings, time: Callable[[], int | None]
+) -> Hints:
+    """Hints at sensors, by what the map of this moment says of their hits; `snapshot` takes it.
+
+    `time` is the map's, of this moment, ns: of one that forgets.
+    """
     return Hints(
-        lambda scan, pose: agreement_of_hits(snapshot(), scan, pose), sector=settings.sensor_model == "sector"
+        lambda scan, pose: agreement_of_hits(snapshot(), scan, pose),
+        sector=settings.sensor_model == "sector",
+        clocks=None if settings.tick is None else ClockHints(time, settings.tick),
     )
 
 

@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from ogm_core.cells.forgetting import MapTime, tick_length
+from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.hints import Hints
 from ogm_core.types import IDENTITY, Scan
 
@@ -113,3 +115,75 @@ def test_a_sensor_that_never_has_a_return():
 def test_a_scan_that_takes_longer_than_any_turn():
     assert told([scan(0, time_increment=2.0 / 359)]) == []
     assert told([scan(0, time_increment=0.1)]) == told([scan(0, time_increment=-0.1)]) == ["time_increment"]
+
+
+class MapOfTime:
+    """The time of a map that forgets: a scan of this stamp is in it."""
+
+    def __init__(self, half_life=600.0):
+        self.tick = tick_length(half_life)
+        self.now = MapTime()
+        self.hints = Hints(clocks=ClockHints(lambda: self.now.time, self.tick))
+        self.told = []
+
+    def take(self, source, stamp):
+        """A scan comes, and is in the map."""
+        one = scan(stamp=stamp)
+        self.now = self.now.after(stamp, 1, self.tick)
+        self.hints.look(source, one)
+        self.told += [(source, hint) for hint in self.hints.placed(source, one, IDENTITY)]
+
+    @property
+    def slugs(self):
+        return [(source, hint.slug) for source, hint in self.told]
+
+
+YEAR = 365 * 86_400 * 10**9
+NOW = DAY * 10**9
+
+
+def test_who_is_a_year_ahead_of_the_time_of_a_map_that_forgets_and_then_who_is_left_behind():
+    """The one that is ahead moves the time by a second a scan: the honest one falls behind it."""
+    forgetting = MapOfTime()
+    for n in range(400):
+        forgetting.take("honest/s", NOW + n * 50_000_000)
+        forgetting.take("ahead/s", NOW + YEAR + n * 50_000_000)
+        if n == 50:
+            assert forgetting.slugs == [("ahead/s", "map_clock")]
+    assert forgetting.slugs == [("ahead/s", "map_clock"), ("honest/s", "map_clock")]
+    (_, ahead), (_, honest) = forgetting.told
+    assert ahead.text.startswith("its stamps are 365 days ahead of the time of the map")
+    assert "s behind the time of the map" in honest.text
+
+
+@pytest.mark.parametrize(("begins", "said"), [(5 * 10**9, "1.97e+04 days ahead"), (NOW + YEAR, "s behind")])
+def test_a_map_whose_first_scan_came_by_a_wrong_clock(begins, said):
+    forgetting = MapOfTime()
+    forgetting.take("r/s", begins)
+    for n in range(200):
+        forgetting.take("r/s", NOW + n * 50_000_000)
+    assert forgetting.slugs == [("r/s", "map_clock")]
+    assert said in forgetting.told[0][1].text
+
+
+def test_a_night_without_scans_and_scans_that_come_late_are_no_wrong_clock():
+    forgetting = MapOfTime(half_life=10.0)
+    for n in range(400):
+        forgetting.take("here/s", NOW + n * 50_000_000)
+    night = NOW + 10 * 3_600 * 10**9
+    for n in range(4_000):
+        forgetting.take("here/s", night + n * 50_000_000)
+    for n in range(40_000, 44_000):  # the time has come there
+        forgetting.take("here/s", night + n * 50_000_000)
+    late = night + 44_000 * 50_000_000
+    for n in range(400):  # of a robot that was out of reach for 20 s, four at a time
+        forgetting.take("here/s", late + n * 50_000_000)
+        for k in range(4):
+            forgetting.take("late/s", late - 20 * 10**9 + (4 * n + k) * 50_000_000)
+            if 4 * n + k >= 400 + n:
+                break
+    assert forgetting.slugs == []
+
+
+def test_a_map_that_keeps_what_it_knows_has_no_time():
+    assert told([scan(stamp=NOW), *(scan(stamp=NOW + YEAR + n) for n in range(100))]) == []

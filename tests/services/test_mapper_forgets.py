@@ -149,3 +149,17 @@ def test_a_reset_map_begins_a_time_of_its_own(started):
         mapper.settle(received=SEEN + 5)
         seen_once = 0.8473
         assert box_known(mapper)["log_odds"] == pytest.approx(seen_once * 2 ** (-1 / 4), abs=0.002)
+
+
+def test_a_robot_whose_clock_is_far_from_the_maps_time_is_hinted_at(started):
+    """A year ahead: for less a map may have rested."""
+    days, received = {"honest": 0, "monday": 6, "wrong": 365}, 0
+    with started() as mapper:
+        for name, late in days.items():
+            for k in range(10):
+                at = late * 86_400 * SECOND + k * SECOND // 20
+                mapper.scan([2.0], robot=name, run=name, seq=k, at=at, pose=[0.25, 0.25, 0.0])
+            received += 10
+            robots = mapper.settle(received=received)["robots"]
+    hints = {name: robots[name]["sources"]["s"]["hints"] for name in days}
+    assert hints == {"honest": [], "monday": [], "wrong": ["map_clock"]}

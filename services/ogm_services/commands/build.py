@@ -67,7 +67,7 @@ def run_build(
     grid = OccupancyGrid(settings.grid_settings())
     first, feed = _MapPass(grid), LogFeed(settings, hold_out)
     with reader() as messages:
-        feed.run(messages, first, "mapping", hints_by(grid.snapshot, grid.settings))
+        feed.run(messages, first, "mapping", hints_by(grid.snapshot, grid.settings, lambda: grid.time.time))
     snapshot = grid.snapshot()
     report = _report(messages, feed.receipts, first)
     complaints = feed.complaints.lines()

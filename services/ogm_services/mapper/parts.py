@@ -126,7 +126,7 @@ class Parts:
         robot_rules = RobotRules(settings.robot_rules())
         self.placer = placer = ScanPlacer(
             *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
-            hints=hints_by(self.live_map.snapshot, grid_settings),
+            hints=hints_by(self.live_map.snapshot, grid_settings, lambda: self.live_map.time),
             integrated=measured.scan_integrated,
             limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
             stopping=lambda: queue.closed,

@@ -176,6 +176,11 @@ class LiveMap:
         """Epoch, revision and stamp of this moment; waits for nobody."""
         return self._state.identity
 
+    @property
+    def time(self) -> int | None:
+        """Writer: how far the time of a map that forgets has come, ns; None before its first scan."""
+        return self._grid.time.time
+
     def cells_in(self, region: Region | None) -> int:
         """How many cells of the map a region covers, None: all of them; waits for nobody.
 
