@@ -136,6 +136,11 @@ class LogOdds(CellModel):
         """One plane of log odds."""
         return (Plane(PLANE, self.dtype),)
 
+    @property
+    def described(self) -> dict[str, str | float]:
+        """Its name, the prior's log odds, and those of a step of int16 cells."""
+        return {"name": PLANE, "l0": self.l0, "step": self.step}
+
     def update(
         self, evidence: CellEvidence, store: object, window: tuple[int, int, int, int], revision: int
     ) -> int:

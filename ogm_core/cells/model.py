@@ -104,6 +104,11 @@ class CellModel(ABC):
     def l0(self) -> float:
         """Log odds of the prior."""
 
+    @property
+    def described(self) -> dict[str, str | float]:
+        """What a program that is sent the planes must know to read them: `name`, and constants."""
+        return {"name": type(self).__name__}
+
     @abstractmethod
     def update(
         self,
