@@ -123,7 +123,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(ogm, lab_recording):
     (ogm.folder / "folder.jsonl").mkdir()
     expected = {
         "missing.jsonl": "missing.jsonl: cannot be read (No such file or directory)",
-        "folder.jsonl": "folder.jsonl: a folder: give a log that is in it",
+        "folder.jsonl": "folder.jsonl: a folder, and no bag: give a log or a bag that is in it",
         "cut.jsonl.gz": "truncated",
         "empty.jsonl": "holds no scan",
         "poses.jsonl": "holds no scan, only 1 poses",
