@@ -19,8 +19,7 @@ from benchmarks.running import map_scans, mapper
 from benchmarks.table import Result
 from benchmarks.workloads import Workload, first_scans, mapped, settings_of, whole_big
 from ogm_core.grid import OccupancyGrid
-from ogm_core.pictures.png import packed
-from ogm_core.pictures.tile_png import tile_png
+from ogm_core.pictures.tile_png import tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.overviews import OVERVIEW_BYTES
 from ogm_core.tiles.pyramid import Square, TilePyramid, revision_of
@@ -93,9 +92,9 @@ def pictures(work: Workload, rounds: int) -> list[Result]:
     for z in (16, 15, 13, 10):
         square = Square(z, 0, -1)
         pyramid.pixels(view, model, square)
-        ms = 1e3 * _best(lambda s=square: packed(pyramid.pixels(view, model, s)), rounds)  # type: ignore[misc]
+        ms = 1e3 * _best(lambda s=square: tile_stream(pyramid.pixels(view, model, s)), rounds)  # type: ignore[misc]
         results.append(Result(group, f"z = {z}, its overviews at hand, from cells to a stream", ms, "ms"))
-    stream = packed(pyramid.pixels(view, model, WARM))
+    stream = tile_stream(pyramid.pixels(view, model, WARM))
     us = 1e6 * _best(lambda: tile_png(stream, "ros"), rounds)
     results.append(Result(group, "a PNG of a stream that is kept", us, "us"))
     us = 1e6 * _best(lambda: revision_of(view.tiles, model, WARM), rounds)

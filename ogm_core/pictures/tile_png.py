@@ -4,14 +4,20 @@ The stream of pixels is the same in every palette: it is packed once, and each p
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm_core.cells.value_bytes import COLOURS
 from ogm_core.pictures.png import packed, png_of
 from ogm_core.tiles.pyramid import PIXELS
 
 
+def tile_stream(pixels: NDArray[np.uint8]) -> bytes:
+    """The stream of a tile's value bytes, [iy, ix], row 0 south: north up."""
+    return packed(pixels[::-1])
+
+
 def tile_png(stream: bytes, palette: str) -> bytes:
-    """The PNG of a tile from the stream that `pictures.png.packed` makes of its pixels."""
+    """The PNG of a tile, north up, from what `tile_stream` makes of it."""
     return png_of(PIXELS, PIXELS, [stream], COLOURS[palette], transparent=True)
 
 

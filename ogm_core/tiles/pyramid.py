@@ -85,10 +85,10 @@ class TilePyramid:
         self._kept = _Overviews(None)
 
     def pixels(self, view: TileView, model: CellModel, square: Square) -> NDArray[np.uint8]:
-        """The value bytes of a square, (256, 256), row 0 north, of any revision; the newest are quick."""
+        """The value bytes of a square, (256, 256), row 0 south, of any revision; the newest are quick."""
         if square.z == NATIVE_Z:
             planes = view.window(square.rect, model.margin)
-            return model.encoded(planes, value_byte)[::-1]
+            return model.encoded(planes, value_byte)
         tiles = view.tiles
         with self._lock:
             kept = self._kept
@@ -127,7 +127,7 @@ class _Overviews:
         side = TILE >> level
         which = self._which[window.columns, window.rows] - np.int32(1)
         put_together(self._rows, which, window.column * side, window.row * side, level, pixels)
-        return pixels[::-1]
+        return pixels
 
     def _cover(self, rect: CellRect) -> None:
         """Have a place for every tile of a map, which only grows."""

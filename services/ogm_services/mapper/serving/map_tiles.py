@@ -11,8 +11,7 @@ from typing import Any, Final, cast
 from ogm_core.cells.value_bytes import COLOURS, legend
 from ogm_core.errors import BadParameter, cut
 from ogm_core.files.map_files import DEFAULT_PALETTE, chosen
-from ogm_core.pictures.png import packed
-from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png
+from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, PIXELS, Square, TilePyramid, revision_of
 from ogm_core.tiles.view import TileView
@@ -92,7 +91,7 @@ class MapTiles:
         stream = self._kept(square, tile.tag)
         if stream is None:
             with self._in_flight.making(bytes_to_make(MAP_FORMATS["png"], snapshot.model, _CELLS_AT_ONCE)):
-                stream = packed(self._pyramid.pixels(_view(snapshot), snapshot.model, square))
+                stream = tile_stream(self._pyramid.pixels(_view(snapshot), snapshot.model, square))
             self._keep(square, tile.tag, stream)
         return MapTile(tile_png(stream, palette), tile.of, revision, resolution)
 
