@@ -30,12 +30,19 @@ def scans_in(path):
         return seqs, not reader.doubt
 
 
-def test_a_recording_gives_the_live_map_built_and_replayed(ogm, lab_recording, assert_equal_maps):
+def has(path, robots, scans):
+    """Whether so many scans of each of so many robots can be read."""
+    found = scans_in(path)[0] if path.exists() else {}
+    return list(map(len, found.values())) == [scans] * robots
+
+
+def test_a_recording_gives_the_live_map_built_and_replayed(ogm, lab_recording, assert_equal_maps, eventually):
     """Of one robot value for value; it ends with the map, and with exit code 0."""
     mapper = ogm.ready(ogm.mapper())
     command = recorder(ogm, mapper.endpoint)
     assert ogm.run("replay", lab_recording, "--connect", mapper.endpoint, "--speed", "max").code == 0
     live = mapper.map()
+    eventually(lambda: has(ogm.folder / "live.mcap", 1, 220))
     ended = command.stop(signal.SIGINT)
     assert (ended.code, ended.err) == (0, "")
     assert ended.out.endswith("live.mcap: 220 scans and 220 poses of robot1\n")
@@ -52,14 +59,15 @@ def test_a_recording_gives_the_live_map_built_and_replayed(ogm, lab_recording, a
     assert "live.mcap: is there already" in refused.complaint(2)
 
 
-def test_of_several_robots_it_holds_the_scans_that_the_mapper_had(ogm):
+def test_of_several_robots_it_holds_the_scans_that_the_mapper_had(ogm, eventually):
     """The mapper ends first: its map is not to be had, and that is said."""
     mapper = ogm.ready(ogm.mapper())
     command = ogm.start("record", "--connect", mapper.endpoint, "-o", "a.mcap")
     command.line("recording map default")
     flags = "--connect", mapper.endpoint, "--robots", 3, "--scans", 40, "--rate", 40, "--seed", 1
     assert ogm.run("simulate", *flags).code == 0
-    assert mapper.status()["scans"]["integrated"] == 120
+    eventually(lambda: mapper.status()["scans"]["integrated"] == 120)
+    eventually(lambda: has(ogm.folder / "a.mcap", 3, 40))
     assert mapper.command.stop().code == 0
     ended = command.stop(signal.SIGINT)
     assert ended.code == 0
