@@ -31,10 +31,15 @@ def by_topic(*topics, **others):
     return BagOptions(Ros2Options(pose_topics=topics, mount=MOUNTED, **others))
 
 
-def tilted(yaw, pitch):
-    """The quaternion (x, y, z, w) of a robot on a slope: its yaw, and then its pitch."""
-    cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
-    return -sy * sp, cy * sp, sy * cp, cy * cp
+def tilted(yaw, pitch, roll):
+    """The quaternion (x, y, z, w) of a robot on a slope: its yaw, then its pitch, then its roll."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (yaw, pitch, roll))
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -43,7 +48,7 @@ def test_poses_of_a_topic(tmp_path, kind):
     yaws = [0.0, 1.0, 3.0, -3.0, -0.5]
     said = []
     for n, yaw in enumerate(yaws, 1):
-        numbers = (1.5 * n, -0.5 * n, 0.2, *tilted(yaw, 0.1))
+        numbers = (1.5 * n, -0.5 * n, 0.2, *tilted(yaw, 0.1, 0.15))
         said += [Said("/amcl_pose", at(n), KINDS[kind](at(n), "map", numbers), kind), scan(at(n) - 20 * MS)]
     bag = read_bag(write_bag(tmp_path / "bag", said), by_topic("/amcl_pose"))
     assert [each.stamp for each in bag.poses] == [at(n) for n in range(1, 6)]
