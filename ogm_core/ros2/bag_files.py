@@ -6,7 +6,7 @@ ROS's messages; whatever is said of one that is damaged becomes one line.
 
 import heapq
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace, TracebackType
@@ -157,23 +157,27 @@ class BagFile:
         return (path,), False
 
     def _opened(self, path: Path, opening: ExitStack) -> Any:  # noqa: ANN401 - one of rosbags' readers
-        cut_db3 = path.suffix == ".db3" and path.is_file() and bytes_missing(path)
-        if cut_db3 or (path.suffix == ".mcap" and path.is_file()):
-            found = opening.enter_context(closing(CutDb3(path) if cut_db3 else McapFile(path)))
-            self.notes += [found.cut_short] if found.cut_short else []
-            return found
-        rosbags = _rosbags()
         try:
-            if path.suffix == ".bag" and path.is_file():
-                reader = rosbags.ros1(path)
-            else:
-                reader = rosbags.ros2(_plain(path, opening))
-            reader.open()
-        except MissingExtra:
+            reader = self._reader(path, opening)
+        except (BadRecording, MissingExtra):
             raise
+        except OSError as error:
+            raise BadRecording(f"{path}: cannot be read ({error.strerror})") from error
         except Exception as error:
             raise self._damaged(path, error) from error
         opening.callback(_closed, reader)
+        return reader
+
+    def _reader(self, path: Path, opening: ExitStack) -> Any:  # noqa: ANN401 - one of rosbags' readers
+        """What reads a data file, or a folder whose files are packed; it raises whatever it likes."""
+        kind = path.suffix if path.is_file() else ""
+        if kind == ".mcap" or (kind == ".db3" and bytes_missing(path)):
+            found = McapFile(path) if kind == ".mcap" else CutDb3(path)
+            self.notes += [found.cut_short] if found.cut_short else []
+            return found
+        rosbags = _rosbags()
+        reader = rosbags.ros1(path) if kind == ".bag" else rosbags.ros2(_plain(path, opening))
+        reader.open()
         return reader
 
     def _listed(self) -> tuple[BagTopic, ...]:

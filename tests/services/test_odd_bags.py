@@ -184,6 +184,14 @@ def test_what_sqlite_has_not_taken_over_is_told_of(tmp_path, log):
     assert f"bag.db3-{log}: not read, and it may hold messages" in read_bag(folder).reader.doubt
 
 
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+def test_a_data_file_that_cannot_be_read_is_told_in_a_line(tmp_path, kind):
+    """As of a disk that fails; nothing else that reads as a file fails for everybody."""
+    (tmp_path / f"bag_0.{kind}").symlink_to("/proc/self/mem")
+    with pytest.raises(BadRecording, match=rf"bag_0.{kind}: cannot be read \(Input/output error\)$"):
+        read_bag(tmp_path)
+
+
 def test_an_unfinished_bag_of_ros_1_is_refused_with_what_mends_it(datasets, tmp_path):
     whole = (datasets / "bags" / "ros1" / "laser_frame_missing.bag").read_bytes()
     (tmp_path / "cut.bag").write_bytes(whole[: len(whole) // 2])
