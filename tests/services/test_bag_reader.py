@@ -92,6 +92,23 @@ def test_the_last_static_transform_holds_from_the_begin_on(tmp_path):
     assert {each.message.mount.x for each in read(write_bag(tmp_path / "bag", said)).scans} == {0.7}
 
 
+def test_stamps_of_transforms_that_step_back(tmp_path):
+    """By 0.3 ms, as two threads of a driver make them: such a pose is passed over, and no scan is lost."""
+    said = [mount()]
+    for n in range(1, 7):
+        stamp = at(n)
+        said.append(tf(stamp, edge(stamp, "odom", "base_link", stamp / 1e9, 0.0, 0.0)))
+        back = stamp - 300_000
+        said.append(tf(stamp + 1, edge(back, "odom", "base_link", back / 1e9, 0.0, 0.0)))
+        said.append(scan(stamp - 50 * MS, time=stamp + 2))
+    bag = read(write_bag(tmp_path / "bag", said))
+    stamps = [pose.stamp for pose in bag.poses]
+    assert stamps == sorted(stamps)
+    assert {at(n) for n in range(1, 7)} <= set(stamps)
+    assert [pose.pose.x for pose in bag.poses] == pytest.approx([stamp / 1e9 for stamp in stamps])
+    assert len(bag.scans) == 6
+
+
 def test_a_map_frame_that_comes_late_is_waited_for(tmp_path):
     """Poses are in the map from its first transform on; scans before it are told of."""
     late = tf(at(4), edge(at(4), "map", "odom", 10.0, 0.0, 0.0))
