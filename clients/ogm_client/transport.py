@@ -10,7 +10,7 @@ from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Query, Write
 
 NAMES = (
-    *("map.png", "map.pgw", "map.json", "map.pgm", "map.yaml", "map.npz"),
+    *("map.png", "map.pgw", "map.json", "map.pgm", "map.yaml", "map.npz", "map.tiles"),
     *("cell", "quality", "status", "snapshots", "raycast"),
     *("distance.png", "distance.npz", "inflate.png", "inflate.npz"),
 )

@@ -12,7 +12,7 @@ from ogm_core.placing.receipts import DROP_REASONS
 from status_json import NO_POSES
 
 HIT = math.log(0.7 / 0.3)
-MAPS = ["/map.png", "/map.pgw", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/tiles.json"]
+MAPS = ["/map.png", "/map.pgw", "/map.json", "/map.pgm", "/map.yaml", "/map.npz", "/map.tiles", "/tiles.json"]
 ROUTES = [*MAPS, "/cell", "/quality", "/status", "/livez", "/readyz", "/metrics", "/version", "/"]
 TILES = "/tiles/{z}/{x}/{y}.png"
 LAYERS = ["/distance.png", "/distance.npz", "/inflate.png", "/inflate.npz"]
@@ -271,6 +271,7 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
         "/map.pgm": {"region", "at", "palette"},
         "/map.yaml": {"region", "at"},
         "/map.npz": {"region", "at"},
+        "/map.tiles": {"since"},
         "/cell": {"x", "y"},
         "/distance.png": {"region", "max_distance"},
         "/distance.npz": {"region", "max_distance"},

@@ -20,6 +20,7 @@ from ogm_services.mapper.serving.kept_status import KeptStatus
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.map_formats import (
     MAP_FORMATS,
+    UPDATES_FORMAT,
     MapFormat,
     bytes_to_make,
     check_names,
@@ -30,6 +31,7 @@ from ogm_services.mapper.serving.map_formats import (
     transparent,
 )
 from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
+from ogm_services.mapper.serving.map_updates import MapUpdates
 from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
@@ -76,6 +78,7 @@ class Answers:
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._coloured = MapPicture(value_byte)
+        self._updates = MapUpdates(live_map, self._cache, self._large, self._in_flight)
         self._tiles = MapTiles(live_map, self.cache_room, self._in_flight)
         self._ready = ready
         self.queries = Queries(
@@ -111,6 +114,8 @@ class Answers:
     def map(self, form: str, given: Parameters) -> Answer:
         """The map in a format of MAP_FORMATS; with the parameter `at`, one that is saved under a name.
 
+        In UPDATES_FORMAT what has changed of it, or all of it, tile by tile.
+
         Raises:
             UnknownName: there is no such format, or no map of that name.
             NotStored: there are no saved maps here.
@@ -119,6 +124,11 @@ class Answers:
             Busy: it is large, and there is no memory or no thread left for it.
         """
         self.check_ready()
+        if form == UPDATES_FORMAT:
+            answer = self._updates.answer(given)
+            if self._memory is not None:
+                self._memory.make_room()
+            return answer
         wanted = map_format(form, given)
         if "at" in given:
             rest = {name: value for name, value in given.items() if name != "at"}

@@ -9,6 +9,7 @@ from ogm_core.tiles.polygon import MAX_POINTS
 from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z
 from ogm_core.wire.keys import NAME
 from ogm_services.mapper.serving.map_tiles import MAX_PLACE
+from ogm_services.mapper.serving.map_updates import SINCE
 from ogm_services.replies.problems import MEDIA_TYPE
 
 Responses = dict[int | str, dict[str, Any]]
@@ -36,6 +37,11 @@ _PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
     "rev": (
         "the tile's ETag without its quotes: while it is that, caches may keep the answer for good",
         {"type": "string"},
+    ),
+    "since": (
+        "the map's ETag without its quotes: only the tiles that were written since; of another life of the "
+        "map, or of a revision that is still to come, all of them",
+        {"type": "string", "pattern": f"^{SINCE}$"},
     ),
     "max_size": (
         "longest side in pixels: the picture is shrunk by a whole factor",

@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from ogm_core.errors import OgmError
 from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
+from ogm_core.wire.map_update import MEDIA_TYPE as UPDATES_TYPE
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import (
     described_parameters,
@@ -29,7 +30,8 @@ from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, para
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.in_pieces import InPieces
 from ogm_services.mapper.serving.known_hosts import KnownHosts
-from ogm_services.mapper.serving.map_formats import MAP_FORMATS
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
+from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
@@ -127,6 +129,9 @@ def build_app(
         described = map_responses(wanted.media_type)
         parameters = described_parameters(sorted(wanted.parameters), form=form)
         add_get(app, f"/map.{form}", handler, described, summary, parameters)
+    changes = _map_handler(shares.maps, answers, ready, UPDATES_FORMAT)
+    said, parameters = map_responses(UPDATES_TYPE), described_parameters(UPDATES_PARAMETERS)
+    add_get(app, f"/map.{UPDATES_FORMAT}", changes, said, "What has changed of the map", parameters)
     add_tile_routes(app, shares.maps, answers, ready)
     maps, described = shares.maps, responses("application/json")
     place = described_parameters(["x", "y"])

@@ -69,6 +69,9 @@ MAP_FORMATS: dict[str, MapFormat] = {
     ),
 }
 
+UPDATES_FORMAT = "tiles"
+"""Format of what has changed of the map (serving.map_updates): it takes other parameters."""
+
 
 def map_format(form: str, given: Parameters) -> MapFormat:
     """The format of a name, which takes these parameters.
@@ -78,7 +81,9 @@ def map_format(form: str, given: Parameters) -> MapFormat:
         BadParameter: it takes no such parameter.
     """
     if form not in MAP_FORMATS:
-        raise UnknownName(f"format: one of {', '.join(MAP_FORMATS)} is needed, got {cut(form)!r}")
+        raise UnknownName(
+            f"format: one of {', '.join((*MAP_FORMATS, UPDATES_FORMAT))} is needed, got {cut(form)!r}"
+        )
     check_names(given, MAP_FORMATS[form].parameters)
     return MAP_FORMATS[form]
 
