@@ -28,7 +28,7 @@ class Whereabouts:
 
     def __init__(self, rules: RobotRules) -> None:
         self._rules = rules
-        self._moved: set[str] = set()
+        self._moved: dict[str, None] = {}  # in the order of their messages, not of hashes
         self._rows: dict[str, int] = {}
         self._names: list[str] = []
         self._histories: list[PoseHistory] = []
@@ -43,11 +43,11 @@ class Whereabouts:
 
     def moved(self, robot: str) -> None:
         """Note that what is known of a robot's poses has changed."""
-        self._moved.add(robot)
+        self._moved[robot] = None
 
     def forget(self, robot: str) -> None:
         """Know nothing of a robot any more."""
-        self._moved.discard(robot)
+        self._moved.pop(robot, None)
         self._seen.pop(robot, None)
         row = self._rows.pop(robot, None)
         if row is not None:

@@ -168,6 +168,16 @@ def test_a_sweep_that_outlasts_the_poses_of_another_robot_takes_its_newest_for_h
     assert [math.isnan(r) for r in ranges] == [k <= 6 for k in range(11)]
 
 
+def test_a_pose_that_stands_alone_says_where_it_was_at_its_very_stamp():
+    found = stands(desk(), "b", 2.0, 0.0, 0)
+    for ms in (700, 1400, 2100):  # farther apart than poses are joined, and not nearly equal
+        found.pose(ms, Pose(2.0 + ms / 10_000, 0.0, 0.0), robot="b")
+    stands(found, "a", 0.0, 0.0, *range(0, 2200, 100))
+    ranges = seen(found, 600, [2.0] * 3, angle_increment=1e-9, time_increment=0.1)
+    assert [math.isnan(r) for r in ranges] == [False, True, False]
+    assert str(seen(found, 700, [2, 1, 1, 1])[0]) == "nan"
+
+
 def test_robots_whose_stamps_are_more_than_a_second_apart_are_walls_to_each_other():
     found = stands(desk(), "b", 2.0, 0.0, 1000, 1100)
     stands(found, "a", 0.0, 0.0, 100)
@@ -206,6 +216,9 @@ def test_scans_with_poses_of_their_own_are_cleared_by_their_stamps():
     assert str(seen(found, 100, [2, 1, 1, 1], pose=Pose(0.0, 0.0, 0.0))[0]) == "nan"
     assert seen(found, 700, [2, 1, 1, 1], pose=Pose(0.0, 0.0, 0.0))[0] == 2
     assert seen(found, 1101, [2, 1, 1, 1], pose=Pose(0.0, 0.0, 0.0))[0] == 2
+    stands(found, "a", 0.0, 0.0, 100)
+    stands(found, "b", 2.0, 0.0, 1102)
+    assert str(seen(found, 1102, [2, 1, 1, 1], pose=Pose(0.0, 0.0, 0.0))[0]) == "nan"
 
 
 def test_after_a_restart_the_same_beams_are_skipped():
