@@ -15,18 +15,25 @@ from ogm_services.mapper.storage.layout import VERSION
 
 STORES = Path(__file__).parents[1] / "older_stores"
 sys.path.insert(0, str(STORES))
-from write import FLAGS, RUN, SCANS, publish  # noqa: E402
+from write import FLAGS, FORGETTING, RUN, SCANS, publish  # noqa: E402
 
 FORMATS = sorted(path for path in STORES.glob("format*"))
 
 
 @pytest.fixture(params=FORMATS, ids=lambda path: path.name)
 def older(request, tmp_path):
-    """What a version of ogm has left: a copy of the store, the map as it was served, the status."""
+    """What a version of ogm has left: a copy of the store; the map that was served, the status; its flags."""
     (tmp_path / "data").mkdir()
     shutil.copy(request.param / "map.sqlite", tmp_path / "data/map.sqlite")
     with np.load(request.param / "map.npz") as served:
-        return tmp_path / "data", dict(served), json.loads((request.param / "status.json").read_text())
+        status = json.loads((request.param / "status.json").read_text())
+        flags = (
+            "--data",
+            tmp_path / "data",
+            *FLAGS,
+            *(() if request.param.name == "format1" else FORGETTING),
+        )
+        return tmp_path / "data", dict(served), status, flags
 
 
 def test_there_is_a_store_of_every_format_that_ever_was():
@@ -35,19 +42,19 @@ def test_there_is_a_store_of_every_format_that_ever_was():
 
 
 def test_a_store_that_another_program_has_open_is_not_called_damaged(ogm, older):
-    data, _, _ = older
+    data, _, _, flags = older
     with closing(sqlite3.connect(data / "map.sqlite")) as connection:
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         connection.execute("BEGIN IMMEDIATE")
-        complaint = ogm.mapper("--data", data, *FLAGS).wait().complaint(1)
+        complaint = ogm.mapper(*flags).wait().complaint(1)
     assert complaint == f"ogm: {data}/map.sqlite: another program has it open: end that first\n"
 
 
 def test_a_mapper_goes_on_with_it_cell_by_cell_and_knows_what_was_decided(
     ogm, eventually, older, assert_equal_maps
 ):
-    data, served, told = older
-    mapper = ogm.ready(ogm.mapper("--data", data, *FLAGS))
+    _, served, told, flags = older
+    mapper = ogm.ready(ogm.mapper(*flags))
     same = ("epoch", "revision", "stamp", "map_info")
     assert {name: mapper.status()[name] for name in same} == {name: told[name] for name in same}
     assert_equal_maps(mapper.map(), served)
@@ -55,19 +62,19 @@ def test_a_mapper_goes_on_with_it_cell_by_cell_and_knows_what_was_decided(
     with RobotPublisher("r1", address=mapper.endpoint, run=RUN, reliable=True) as robot:
         robot.wait_for_mapper(30.0)
         publish(robot, 0, SCANS + 3)  # the first of them under seqs that it has had
-        eventually(lambda: mapper.status()["revision"] == SCANS + 3)
+        eventually(lambda: mapper.status()["revision"] == told["revision"] + 3)
     scans = mapper.status()["scans"]
     duplicate = scans["dropped"]["duplicate"]  # by themselves; others, or all, come again from the cache
     assert duplicate <= SCANS <= duplicate + scans["replayed"]
     assert (scans["integrated"], scans["received"]) == (3, 3 + duplicate)
     cells = mapper.map()
     assert mapper.command.stop().code == 0
-    assert_equal_maps(ogm.ready(ogm.mapper("--data", data, *FLAGS)).map(), cells)
+    assert_equal_maps(ogm.ready(ogm.mapper(*flags)).map(), cells)
 
 
 def test_a_store_of_a_newer_format_is_refused_in_a_line_that_names_both(ogm, older):
-    data, _, _ = older
+    data, _, _, flags = older
     with closing(sqlite3.connect(data / "map.sqlite")) as connection:
         connection.execute(f"PRAGMA user_version = {VERSION + 1}")
-    complaint = ogm.mapper("--data", data, *FLAGS).wait().complaint(2)
+    complaint = ogm.mapper(*flags).wait().complaint(2)
     assert f"in format {VERSION + 1}; this one reads format {VERSION}: use the newer one" in complaint

@@ -4,6 +4,7 @@ Once for a format, by the version that brings it: format<N>/ has what a mapper s
 that it served (map.npz), and what it said of it (status.json).
 """
 
+import io
 import json
 import re
 import shutil
@@ -22,6 +23,8 @@ from ogm_services.mapper.storage.layout import FILE, VERSION
 
 FLAGS = ("--resolution", "0.1", "--sensor-model", "beam", "--traversal", "bresenham", "--cells", "int16")
 """Those that a mapper needs to go on with it."""
+FORGETTING = ("--half-life", "1")
+"""From format 2 on as well; something was erased, too."""
 SWEEP = {"angle_min": -np.pi, "angle_increment": np.pi / 45, "range_min": 0.1, "range_max": 6.0}
 STAMP = 1_700_000_000_000_000_000
 RUN = "run1"
@@ -42,19 +45,19 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder, "data")
         command = [sys.executable, "-m", "ogm_services", "mapper", "--http-port", "0"]
-        command += ["--listen", "tcp/127.0.0.1:0", "--data", data, *FLAGS]
+        command += ["--listen", "tcp/127.0.0.1:0", "--data", data, *FLAGS, *FORGETTING]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as mapper:
             endpoint, url = (re.search(r"(\S+)$", mapper.stdout.readline())[1] for _ in range(2))
             with RobotPublisher("r1", address=endpoint, run=RUN, reliable=True) as robot:
                 robot.wait_for_mapper(30.0)
                 publish(robot, 0, SCANS)
-                for waits in (
-                    lambda said: said["scans"]["integrated"] < SCANS,
-                    lambda said: not said["map_info"]["known_cells"],
-                ):
-                    while waits(json.loads(body(url, "status"))):
-                        time.sleep(0.01)
-                files = {"map.npz": body(url, "map.npz"), "status.json": body(url, "status")}
+                status(url, lambda said: said["scans"]["integrated"] == SCANS)
+                body(url, "erase?region=1,-1,2,1", "POST")
+                served = body(url, "map.npz")
+                known = np.count_nonzero(~np.isnan(np.load(io.BytesIO(served))["log_odds"]))
+                # The count of known cells may be some seconds old.
+                said = status(url, lambda said: said["map_info"]["known_cells"] == known)
+                files = {"map.npz": served, "status.json": said}
             mapper.send_signal(signal.SIGTERM)
         out = Path(__file__).with_name(f"format{VERSION}")
         out.mkdir()
@@ -63,8 +66,16 @@ def main():
             (out / name).write_bytes(content)
 
 
-def body(url, path):
-    with urllib.request.urlopen(url + path, timeout=30) as answer:
+def status(url, wanted):
+    """The status, once it is as wanted."""
+    while not wanted(json.loads(said := body(url, "status"))):
+        time.sleep(0.01)
+    return said
+
+
+def body(url, path, method="GET"):
+    request = urllib.request.Request(url + path, method=method)
+    with urllib.request.urlopen(request, timeout=30) as answer:
         return answer.read()
 
 

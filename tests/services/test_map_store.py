@@ -14,6 +14,7 @@ from counts_model import Counts
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput, BadSetting, BadStore
 from ogm_core.lattice import Region
+from ogm_core.tiles.polygon import Polygon
 from ogm_services.mapper.storage.folder_lock import StoreInUse
 from ogm_services.mapper.storage.map_store import MapStore
 from stored_maps import MODELS, RUN, Story, fingerprint, grid_of, restored
@@ -222,7 +223,7 @@ def test_no_folder_can_be_made_where_a_file_is(tmp_path):
 
 def test_a_store_of_another_version_is_refused_by_name(stored):
     folder, story = stored
-    for version, said in ((2, "format 2; this one reads format 1: use the newer one"), (0, "format 0")):
+    for version, said in ((3, "format 3; this one reads format 2: use the newer one"), (0, "format 0")):
         with sqlite3.connect(folder / "map.sqlite") as connection:
             connection.execute(f"PRAGMA user_version = {version}")
         connection.close()
@@ -232,6 +233,35 @@ def test_a_store_of_another_version_is_refused_by_name(stored):
         connection.execute("PRAGMA user_version = 1")
     connection.close()
     with MapStore(folder) as store:
+        assert restored(store, story.grid.settings) == story.now
+
+
+@pytest.mark.parametrize(
+    ("half_life", "erased", "version"), [(None, False, 1), (None, True, 2), (1.0, False, 2)]
+)
+def test_a_store_is_of_the_newer_version_once_its_map_forgets_or_something_was_erased(
+    tmp_path, half_life, erased, version
+):
+    """A program that knows neither goes on with it until then, and refuses it by its version afterwards."""
+
+    def of(path):
+        connection = sqlite3.connect(path)
+        ((found, state),) = connection.execute("SELECT user_version, text FROM pragma_user_version, state")
+        connection.close()
+        return found, json.loads(state).keys() & {"time", "ticks", "erasures"}
+
+    with MapStore(tmp_path) as store:
+        story = Story(store, grid_of(half_life=half_life))
+        story.integrate(3)
+        story.commit()
+        if erased:
+            story.grid.erase(Polygon([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0)], story.grid.lattice))
+        story.commit()
+        store.save("kept")
+    for file in (tmp_path / "map.sqlite", tmp_path / "snapshots" / "kept.sqlite"):
+        found, newer = of(file)
+        assert (found, bool(newer)) == (version, version > 1)
+    with MapStore(tmp_path) as store:
         assert restored(store, story.grid.settings) == story.now
 
 

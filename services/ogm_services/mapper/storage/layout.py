@@ -14,15 +14,17 @@ FILE = "map.sqlite"
 """Name of the file in a store's folder; SQLite puts its log, map.sqlite-wal, beside it."""
 APPLICATION_ID = 0x4F474D31
 """In the file's header: "OGM1", so that other databases are told apart."""
-VERSION = 1
+FIRST_VERSION = 1
 """Of the tables and of what is in them."""
+VERSION = 2
+"""The newest: of maps that forget, or in which something was erased, which version 1 knew nothing of."""
 WAL_BYTES = MEBIBYTE
 """From this size on the log's pages go into the file, and the log begins anew."""
 _PAGE = 4096
 _TABLES = f"""
 PRAGMA page_size = {_PAGE};
 PRAGMA application_id = {APPLICATION_ID};
-PRAGMA user_version = {VERSION};
+PRAGMA user_version = {FIRST_VERSION};
 BEGIN;
 CREATE TABLE settings (id INTEGER PRIMARY KEY, text TEXT NOT NULL, digest BLOB NOT NULL);
 CREATE TABLE state (id INTEGER PRIMARY KEY, text TEXT NOT NULL, root BLOB NOT NULL, digest BLOB NOT NULL);
@@ -93,16 +95,22 @@ def open_file(path: Path, *, writing: bool = True) -> sqlite3.Connection:
     return connection
 
 
+def version_of(connection: sqlite3.Connection) -> int:
+    """The version of a store."""
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
 def _check_version(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION_ID,):
         raise BadStore("it is no map that ogm has stored")
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    version = version_of(connection)
     if version > VERSION:
         raise OtherVersion(
             f"{path}: a newer ogm has stored this map, in format {version}; this one reads format {VERSION}: "
             "use the newer one"
         )
-    if version < VERSION:
+    if version < FIRST_VERSION:
         raise BadStore(f"ogm has never stored a map in format {version}")
 
 

@@ -19,9 +19,12 @@ from ogm_services.mapper.storage.digests import (
     state_digest,
     tile_digest,
 )
+from ogm_services.mapper.storage.layout import VERSION, version_of
 
 TILES = "SELECT tx, ty, revision, record, digest FROM tiles"
 PLACING = "SELECT key, value, digest FROM placing"
+_SINCE_VERSION_2 = {"time", "ticks", "erasures"}
+"""Of a map's state."""
 
 
 @dataclass(frozen=True)
@@ -165,8 +168,17 @@ def write_placing(connection: sqlite3.Connection, parts: Mapping[str, bytes | No
 
 
 def write_state(connection: sqlite3.Connection, state: StoredState) -> None:
-    """Write settings and state, with the root over all rows."""
+    """Write settings and state, with the root over all rows.
+
+    Without what the first version did not know it is such a store, that programs of then go on with.
+    """
     fields = {"run": state.run, "tiles": state.tiles, **state.map._asdict(), **state.map.time._asdict()}
+    if state.map.time == MapTime():
+        del fields["time"], fields["ticks"]
+    if not state.map.erasures:
+        del fields["erasures"]
+    if fields.keys() & _SINCE_VERSION_2 and version_of(connection) < VERSION:
+        connection.execute(f"PRAGMA user_version = {VERSION}")
     text = json.dumps(fields)
     digest = state_digest(text, state.root)
     connection.execute("INSERT OR REPLACE INTO state VALUES (1, ?, ?, ?)", (text, state.root, digest))
