@@ -25,8 +25,10 @@ PIXELS: Final = 256
 NATIVE_Z: Final = 16
 """The z of a pixel a cell."""
 LEAST_Z: Final = NATIVE_Z - TOP
-_AT_ONCE: Final = 64
+_AT_ONCE: Final = 32
 """So many tiles are laid out at a time, at most: it takes little memory, and few calls a tile."""
+MAKING_BYTES: Final = _AT_ONCE * TILE * TILE * 64
+"""What making pixels takes besides what is kept, at most: of each cell its planes and some float64."""
 _FIRST_ROWS: Final = 64
 
 

@@ -7,9 +7,11 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.receipts import Receipts
+from ogm_core.tiles.pyramid import Square
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
@@ -18,6 +20,7 @@ from ogm_services.mapper.serving import map_formats as formats_module
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.large_answers import LARGE_AT_ONCE
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS
+from ogm_services.mapper.serving.map_tiles import MapTiles
 from ogm_services.replies.answer import Busy
 from ogm_services.replies.in_flight import InFlight
 
@@ -73,6 +76,33 @@ def test_no_answer_takes_more_to_make_than_is_held_for_it(form, given, monkeypat
         tracemalloc.stop()
     assert peak <= sizes[-1] + AROUND
     assert sizes[-1] <= 60 * MIB  # of 4 million cells
+
+
+@pytest.mark.parametrize("cells", ["int16", "float64"])
+def test_no_tile_takes_more_to_make_than_is_held_for_it(cells, monkeypatch):
+    live, sizes, in_flight = LiveMap(OccupancyGrid(GridSettings(0.1, LogOdds(cells)), "e")), [], InFlight()
+    for x, y in np.mgrid[-40:41:10, -40:41:10].reshape(2, -1).T.tolist():
+        live.integrate(Scan(1, 0.0, 0.1, 0.0, 20.0, np.full(63, 6.0, np.float32)), Pose(x, y, 0.0))
+    monkeypatch.setattr(in_flight, "making", lambda size: sizes.append(size) or ExitStack())
+    MapTiles(live).tile(Square(10, 0, 0), "ros")  # tables are made once
+    for z in (16, 15, 10):
+        tiles = MapTiles(live, in_flight=in_flight)
+        tracemalloc.start()
+        try:
+            tiles.tile(Square(z, 0, 0), "ros")
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak <= sizes[-1] + AROUND
+    assert sizes[-1] <= 16 * MIB
+
+
+def test_where_a_picture_lies_is_told_without_room(monkeypatch):
+    desk = Desk(50.0, limit=MIB)
+    with desk.in_flight.making(MIB):
+        assert desk.answers.map("pgw", {}).body.startswith(b"0.1\n")
+        with pytest.raises(Busy):
+            desk.answers.map("pgw", {"max_size": "100"})
 
 
 @pytest.mark.parametrize("form", ["json", "npz", "pgm", "yaml"])

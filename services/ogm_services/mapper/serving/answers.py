@@ -148,14 +148,15 @@ class Answers:
     def _cells(self, form: str, given: Parameters, region: Region | None) -> int:
         """How many cells an answer looks at; the picture that is kept up to date looks at few."""
         kept = form == "png" and given.keys() <= {"palette", "transparent"}
-        return 0 if kept else self._map.cells_in(region)
+        return 0 if kept else MAP_FORMATS[form].cells_looked_at(self._map.cells_in(region), given)
 
     def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
         snapshot = self._map.snapshot()
         cropped = snapshot if region is None else snapshot.crop(region)
         picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
         if picture is None:
-            size = bytes_to_make(wanted, cropped.model, cropped.width * cropped.height)
+            cells = wanted.cells_looked_at(cropped.width * cropped.height, given)
+            size = bytes_to_make(wanted, cropped.model, cells)
         else:  # only what has changed is encoded, and what was is put together
             size = 2 * picture.nbytes + cropped.width * cropped.height // 16
         with self._in_flight.making(size):

@@ -32,6 +32,12 @@ class MapFormat:
     cost: float
     """Bytes that are held for each byte of the map's cells while it is made, with its body, at most."""
     encode: Callable[[MapSnapshot, str, Parameters], bytes]
+    only_with: str | None = None
+    """The parameter without which no cell is looked at."""
+
+    def cells_looked_at(self, cells: int, given: Parameters) -> int:
+        """Of how many cells of so many it has to know more than where they are."""
+        return cells if self.only_with is None or self.only_with in given else 0
 
 
 MAP_FORMATS: dict[str, MapFormat] = {
@@ -44,7 +50,11 @@ MAP_FORMATS: dict[str, MapFormat] = {
         ),
     ),
     "pgw": MapFormat(
-        "text/plain", frozenset({"region", "at", "max_size"}), 4.0, lambda snapshot, *_: encode_pgw(snapshot)
+        "text/plain",
+        frozenset({"region", "at", "max_size"}),
+        4.0,  # of a picture that is shrunk
+        lambda snapshot, *_: encode_pgw(snapshot),
+        only_with="max_size",
     ),
     "json": MapFormat(
         "application/json",

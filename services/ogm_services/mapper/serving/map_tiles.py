@@ -13,11 +13,19 @@ from ogm_core.errors import BadParameter, cut
 from ogm_core.files.map_files import DEFAULT_PALETTE, chosen
 from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, PIXELS, Square, TilePyramid, revision_of
+from ogm_core.tiles.pyramid import (
+    LEAST_Z,
+    MAKING_BYTES,
+    NATIVE_Z,
+    PIXELS,
+    Square,
+    TilePyramid,
+    revision_of,
+)
 from ogm_core.tiles.view import TileView
 from ogm_services.mapper.live.live_map import Identity, LiveMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
-from ogm_services.mapper.serving.map_formats import MAP_FORMATS, bytes_to_make, check_names
+from ogm_services.mapper.serving.map_formats import check_names
 from ogm_services.replies.answer import Answer, Parameters, UnknownName
 from ogm_services.replies.in_flight import InFlight
 
@@ -26,8 +34,6 @@ MAX_PLACE: Final = 2**26
 """Tiles are served from -MAX_PLACE + 1 to MAX_PLACE - 1."""
 _WHOLE = re.compile(r"-?[0-9]+")
 _DIGITS = 12
-_CELLS_AT_ONCE: Final = 2**18
-"""Of so many cells value bytes are made at a time."""
 _BYTES_BESIDES = 512
 """What a stream that is kept takes besides its bytes, at most."""
 
@@ -90,7 +96,7 @@ class MapTiles:
             return tile
         stream = self._kept(square, tile.tag)
         if stream is None:
-            with self._in_flight.making(bytes_to_make(MAP_FORMATS["png"], snapshot.model, _CELLS_AT_ONCE)):
+            with self._in_flight.making(MAKING_BYTES):
                 stream = tile_stream(self._pyramid.pixels(_view(snapshot), snapshot.model, square))
             self._keep(square, tile.tag, stream)
         return MapTile(tile_png(stream, palette), tile.of, revision, resolution)

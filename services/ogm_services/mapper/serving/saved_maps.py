@@ -46,7 +46,8 @@ class SavedMaps:
         with self._snapshots.opened(name) as saved:
             rect = self._rect_of(saved)
             shown = rect if region is None else rect.intersection(self._settings.lattice.cover(region))
-            to_make = COPIES * saved.nbytes + bytes_to_make(wanted, model, shown.cells)
+            looked_at = wanted.cells_looked_at(shown.cells, given)
+            to_make = COPIES * saved.nbytes + bytes_to_make(wanted, model, looked_at)
             with self.large.making(rect.cells), self._in_flight.making(to_make):
                 whole = saved.grid(self._settings).snapshot()
                 pixels = shrunk(whole if region is None else whole.crop(region), given)
