@@ -223,6 +223,10 @@ class LogOdds(CellModel):
         """What an elementwise encoder makes of the cells."""
         return self.encode(planes[PLANE], encoder)
 
+    def table_of(self, encoder: Encoder) -> NDArray[Any] | None:
+        """What an encoder makes of every int16 cell; None of float64 cells."""
+        return self.table(encoder) if self.cells == "int16" else None
+
     def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
         """Log odds, NaN where unknown; float64 of float64 cells, else float32."""
         cells = source.planes()[PLANE]

@@ -143,6 +143,13 @@ class CellModel(ABC):
         """What an elementwise encoder makes of the same cells."""
         return encoder(*self.published(planes))
 
+    def table_of(self, encoder: Encoder) -> NDArray[Any] | None:
+        """What an elementwise encoder makes of every number of 16 bits, shape (65536,), by its bits.
+
+        For models of one plane of these, of side 1 and without a margin; None for others.
+        """
+        return None
+
     def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
         """What /map.npz holds of the cells: the planes as they are."""
         return dict(source.planes())

@@ -24,6 +24,13 @@ _HALF: Final = TILE // 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def look_up(table: NDArray[np.uint8], numbers: NDArray[np.uint16], found: NDArray[np.uint8]) -> None:
+    """Write what stands in a table of 65536 bytes for each number into `found`."""
+    for k in range(len(numbers)):
+        found[k] = table[numbers[k]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def make_overviews(cells: NDArray[np.uint8], found: NDArray[np.uint8]) -> None:
     """Write the overviews of tiles side by side, (64, 64 n), into `found`, (n, OVERVIEW_BYTES)."""
     for k in range(len(found)):

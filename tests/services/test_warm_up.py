@@ -55,6 +55,7 @@ KERNELS = (
     tiled_cells._count_written,
     tiled_cells._lay_out,
     tiled_cells._count_values,
+    overviews.look_up,
     overviews.make_overviews,
     overviews.put_together,
 )
@@ -68,6 +69,7 @@ LATER = (
     agreement.agreement,
     ray_kernel.cast_rays,
     tiled_cells._count_values,
+    overviews.look_up,
     overviews.make_overviews,
     overviews.put_together,
 )
