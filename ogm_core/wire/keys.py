@@ -80,6 +80,11 @@ class MapKeys:
         return f"{self.root}/{name}"
 
     @property
+    def updates(self) -> str:
+        """Where the mapper puts what has changed of the map, for those who follow it."""
+        return f"{self.root}/updates"
+
+    @property
     def truth(self) -> str:
         """A queryable of the simulator: its world, as YAML."""
         return f"{self.root}/truth"

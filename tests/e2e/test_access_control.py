@@ -20,6 +20,7 @@ import zenoh.ext
 from ogm_client import CannotConnect, MapClient, MapperError, NobodyAnswered, NotHeard, RobotPublisher
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
 from ogm_core.errors import BadRecording
+from ogm_core.wire.map_update import decode_updates
 from ogm_services.ros2.mcap_reader import McapReader
 
 ROOT = Path(__file__).parents[2]
@@ -280,6 +281,23 @@ def test_nobody_overhears_a_robot(site, mapper, eventually):
         assert heard == []
 
 
+@pytest.mark.parametrize("name", ["viewer", "robot1", "operator"])
+def test_who_reads_hears_what_changes_and_nobody_else_tells_it(site, mapper, unchanged, eventually, name):
+    heard, key = [], f"{OWN}/updates"
+    with site.session(name) as session, site.session("robot2") as liar:
+        handler = zenoh.handlers.Callback(lambda sample: heard.append(sample.payload.to_bytes()))
+        session.declare_subscriber(key, handler)
+
+        def told():
+            liar.put(key, b"a lie", congestion_control=zenoh.CongestionControl.BLOCK)
+            return len(heard) > 2
+
+        eventually(told)  # a mapper whose map does not change says so once a second
+    assert b"a lie" not in heard
+    updates = [update for payload in heard for update in decode_updates(payload)]
+    assert {update.revision for update in updates} == {mapper.status()["revision"]}
+
+
 def test_the_mapper_s_log_shows_denials_if_asked(site, ogm):
     """With the filter of docs/security.md."""
     shown = re.search(r"`RUST_LOG=(\S+)`", (ROOT / "docs/security.md").read_text())[1]
@@ -317,10 +335,10 @@ def test_a_viewer_records_by_two_rules_more(site, ogm, eventually):
     rules = re.findall(r"```json5\n(.*?)```", (ROOT / "docs/security.md").read_text(), re.S)[1]
 
     def with_recorder(text):
-        policy = '{ rules: ["read", "answer"]'
+        policy = '{ rules: ["read", "answer", "follow", "told"]'
         assert policy in text
         return text.replace("    rules: [\n", f"    rules: [\n{rules}", 1).replace(
-            policy, '{ rules: ["read", "answer", "hear", "heard"]'
+            policy, '{ rules: ["read", "answer", "follow", "told", "hear", "heard"]'
         )
 
     endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")

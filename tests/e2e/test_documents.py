@@ -80,6 +80,7 @@ def test_table_of_keys():
     names = {f"{keys.root}/{name}": "get" for name in get_args(Service)}
     names |= {
         keys.truth: "get",
+        keys.updates: "put",
         keys.pose("R"): "put",
         keys.scan("R", "S"): "put",
         keys.alive("A", "I", "N"): "liveliness",

@@ -32,6 +32,7 @@ from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.query_routes import BODIES
 from ogm_services.mapper.serving.shares import Shares
+from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.bounded_close import Closing
@@ -140,8 +141,9 @@ class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
     Threads: the worker (owns the map), the monitor (owns the series and the truth), the watch, one that looks
-    for other mappers of the map, one for HTTP's event loop with its pool, Zenoh's own, a small pool for its
-    queries, and one that makes rarely used kernels ready. All of them end with the `with`.
+    for other mappers of the map, one that tells followers what has changed, one for HTTP's event loop with
+    its pool, Zenoh's own, a small pool for its queries, and one that makes rarely used kernels ready. All of
+    them end with the `with`.
     """
 
     def __init__(self, settings: Settings, last_map: LastMap | None = None) -> None:
@@ -247,6 +249,8 @@ class MapperService:
         opening.callback(subscriber.close)
         others.claim()
         opening.enter_context(self._http(listener))
+        self.updates = UpdatePublisher(self.live_map, self.parts.in_flight)
+        opening.callback(self.updates.stop)
         routes.declare(self.answers, self.parts.writes.by_name(), zenoh_shares)
         _warm_up(self.parts.grid_settings)
         others.serve()
@@ -256,6 +260,7 @@ class MapperService:
         opening.callback(self.parts.worker.stop)
         if self.parts.kept_map is not None:
             self.parts.kept_map.keep()
+        self.updates.start(session, keys.updates)
         subscriber.declare()
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)
