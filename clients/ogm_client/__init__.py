@@ -13,6 +13,7 @@ from ogm_client.errors import (
     NobodyAnswered,
     NotHeard,
 )
+from ogm_client.follower import Change, MapFollower
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_layer import MapLayer
@@ -45,10 +46,12 @@ __all__ = [
     "BadSetting",
     "CannotConnect",
     "CannotListen",
+    "Change",
     "ClientError",
     "DiskFull",
     "MapClient",
     "MapEmpty",
+    "MapFollower",
     "MapGrid",
     "MapLayer",
     "MapperError",

@@ -3,6 +3,7 @@
 import io
 import re
 import time
+from collections.abc import Callable
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -17,7 +18,6 @@ from ogm_client.transport import (
     Limits,
     MapReply,
     Parameters,
-    Version,
     json_object,
     map_reply,
     mapper_error,
@@ -85,15 +85,6 @@ class HttpTransport:
         """map.npz, or another archive, with its version."""
         return _map_reply(self._send("GET", name, parameters))
 
-    def fetch_map_after(self, seen: Version) -> MapReply | None:
-        """map.npz, whole, if the map is no longer at version `seen`; else None."""
-        etag = f'"{seen.epoch}-{seen.run}-{seen.revision}"'
-        response = self._send("GET", "map.npz", {}, {"If-None-Match": etag})
-        if response.status_code == httpx.codes.NOT_MODIFIED:
-            return None
-        reply = _map_reply(response)
-        return None if reply.version == seen else reply
-
     def ask(self, name: Query, body: bytes) -> bytes:
         """What is answered to a question that is a JSON body."""
         return self._send("POST", name, {}, {"Content-Type": "application/json"}, body).content
@@ -105,6 +96,10 @@ class HttpTransport:
             path = f"snapshots/{parameters['name'].replace('.', '%2E')}"
             return self._send("DELETE", path, {}, self._authorization).content
         return self._send("POST", name, parameters, self._authorization).content
+
+    def hear_updates(self, heard: Callable[[bytes], None]) -> Callable[[], None]:
+        """Hear nothing: over HTTP a mapper answers only."""
+        return lambda: None
 
     def close(self) -> None:
         """Close the connections; closing twice does nothing."""

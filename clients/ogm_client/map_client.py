@@ -11,7 +11,8 @@ import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.errors import BadReply, CannotConnect, MapperError, NobodyAnswered
+from ogm_client.errors import BadReply
+from ogm_client.follower import MapFollower
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_queries import MapQueries
 from ogm_client.parameters import Value, texts
@@ -30,7 +31,6 @@ DEFAULT_MAX_BYTES = MAX_NPZ_BYTES
 DEFAULT_INTERVAL = 0.5
 DEFAULT_PATIENCE = 60.0
 DEFAULT_MAP = "default"
-_UNAVAILABLE = 503
 
 
 class MapClient(MapQueries):
@@ -123,12 +123,29 @@ class MapClient(MapQueries):
         """The cell at the point (x, y), m: `{x, y, ix, iy, known, log_odds, probability}`."""
         return json_object("cell", self.fetch("cell", x=x, y=y))
 
+    def follow(self, *, interval: float = DEFAULT_INTERVAL) -> MapFollower:
+        """Follow the map: a copy that is kept up to date by what changes, and says what that is.
+
+            with mapper.follow() as follower:
+                change = follower.wait()
+                grid = follower.grid()
+
+        The copy's tiles may take `max_bytes`. Over Zenoh the mapper tells what changes, within a tenth of a
+        second; over HTTP it is asked every `interval` seconds, and so it is where access control keeps that
+        from being heard.
+
+        Raises:
+            BadParameter: the interval is not a positive number.
+        """
+        _check_interval(interval)
+        return MapFollower(self._transport, self._max_bytes, interval)
+
     def watch(
         self, interval: float = DEFAULT_INTERVAL, patience: float = DEFAULT_PATIENCE
     ) -> Iterator[MapGrid]:
         """Yield the map at once, and again whenever it has changed; looks every `interval` seconds.
 
-        A map that does not change is not sent again. That of a mapper which was started anew is: only its
+        Only what has changed is sent (see `follow`). That of a mapper which was started anew is: only its
         `run` may tell it from the one before. A mapper that is away after the first map, or that starts,
         stops or is busy (503), is waited for: `patience` seconds, 0 not at all, math.inf for ever; then what
         was wrong is raised. Ends only by an error or with the loop around it.
@@ -136,8 +153,7 @@ class MapClient(MapQueries):
         Raises:
             BadParameter: the interval is not a positive number, or the patience is negative or none.
         """
-        if not 0.0 < interval < math.inf:
-            raise BadParameter(f"interval: a positive number of seconds is needed, got {interval}")
+        _check_interval(interval)
         if not patience >= 0.0:
             raise BadParameter(f"patience: a number of seconds, 0 or more, is needed, got {patience}")
         return self._watch(interval, patience)
@@ -212,26 +228,13 @@ class MapClient(MapQueries):
         self.close()
 
     def _watch(self, interval: float, patience: float) -> Iterator[MapGrid]:
-        reply: MapReply | None = self._transport.fetch_map({})
-        while True:
-            if reply is not None:
-                seen = reply.version
-                yield self._grid(reply)
-            reply = self._look_again(seen, interval, patience)
-
-    def _look_again(self, seen: Version, interval: float, patience: float) -> MapReply | None:
-        """The next look at the map; a mapper that is away is waited for."""
-        gives_up = math.inf
-        while True:
-            time.sleep(interval)
-            try:
-                return self._transport.fetch_map_after(seen)
-            except (CannotConnect, NobodyAnswered, MapperError) as error:
-                if isinstance(error, MapperError) and error.status != _UNAVAILABLE:
-                    raise
-                gives_up = min(gives_up, time.monotonic() + patience)
-                if time.monotonic() >= gives_up:
-                    raise
+        with self.follow(interval=interval) as follower:
+            seen: Version | None = None
+            while True:
+                grid = follower.next_grid(seen, patience)
+                seen, shown = Version(grid.epoch, grid.run, grid.revision), time.monotonic()
+                yield grid
+                time.sleep(max(0.0, shown + interval - time.monotonic()))
 
     def _grid(self, reply: MapReply) -> MapGrid:
         try:
@@ -273,6 +276,11 @@ def _transport(
         )
     network = NetworkConfig.of_client(address, zenoh_config)
     return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, limits, session)
+
+
+def _check_interval(interval: float) -> None:
+    if not 0.0 < interval < math.inf:
+        raise BadParameter(f"interval: a positive number of seconds is needed, got {interval}")
 
 
 def _named(name: str) -> dict[str, str]:

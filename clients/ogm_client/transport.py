@@ -1,7 +1,7 @@
 """Protocol of the transports to a mapper: questions by the names of the HTTP routes, bytes back."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn, Protocol
 
 from ogm_client.errors import BadReply, MapperError
@@ -69,14 +69,17 @@ class Transport(Protocol):
     def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
         """map.npz, or another archive of those NAMES, with its version."""
 
-    def fetch_map_after(self, seen: Version) -> MapReply | None:
-        """map.npz, whole, if the map is no longer at version `seen`; else None."""
-
     def ask(self, name: Query, body: bytes) -> bytes:
         """What is answered to a question that is a JSON body."""
 
     def write(self, name: Write, parameters: Parameters) -> bytes:
         """Change something; the bytes of what is answered."""
+
+    def hear_updates(self, heard: Callable[[bytes], None]) -> Callable[[], None]:
+        """Have every update that the mapper puts handed to `heard`, on whichever thread; what ends that.
+
+        Over HTTP nothing is put.
+        """
 
     def close(self) -> None:
         """Withdraw from the network; closing twice does nothing."""

@@ -1,7 +1,8 @@
 """Zenoh transport: a mapper reached over Zenoh."""
 
+import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import cast
 
 import msgpack
@@ -14,8 +15,6 @@ from ogm_client.transport import (
     Limits,
     MapReply,
     Parameters,
-    Version,
-    json_object,
     map_reply,
     mapper_error,
     printable,
@@ -23,10 +22,13 @@ from ogm_client.transport import (
 )
 from ogm_client.zenoh_errors import reason
 from ogm_core.wire.keys import MapKeys, Query, Service, Write
+from ogm_core.wire.map_update import MAX_CELL_BYTES
 
 _TIMED_OUT = b"Timeout"
 """Zenoh's own error reply, when a queryable took the query and did not finish in time."""
 _MAX_ATTACHMENT_BYTES = 4096
+MAX_TOLD_BYTES = MAX_CELL_BYTES // 2
+"""The longest update that is heard, bytes: those of a mapper are half as long."""
 _AT_ONCE = 0.001
 """Of a question without any time left, s: Zenoh takes 0 for its own default."""
 
@@ -62,15 +64,6 @@ class ZenohTransport:
         """map.npz, or another archive, with its version."""
         return self._fetch_map(parameters, self._deadline(), name)
 
-    def fetch_map_after(self, seen: Version) -> MapReply | None:
-        """map.npz, whole, if the map is no longer at version `seen`; else None."""
-        deadline = self._deadline()
-        status = json_object("status", self._fetch("status", {}, deadline))
-        if (status.get("epoch"), status.get("run", ""), status.get("revision")) == seen:
-            return None
-        reply = self._fetch_map({}, deadline)
-        return None if reply.version == seen else reply
-
     def ask(self, name: Query, body: bytes) -> bytes:
         """What is answered to a question that is a JSON body."""
         sample = self._get(name, {}, self._deadline(), body)
@@ -80,6 +73,27 @@ class ZenohTransport:
         """Change something; the bytes of what is answered."""
         sample = self._get(name, parameters, self._deadline())
         return _content(name, sample.payload, self._limits.bytes_of(name))
+
+    def hear_updates(self, heard: Callable[[bytes], None]) -> Callable[[], None]:
+        """Have every update that the mapper puts handed to `heard`, by Zenoh's thread; what ends that."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if len(sample.payload) <= MAX_TOLD_BYTES:
+                heard(sample.payload.to_bytes())
+
+        try:
+            subscriber = self._session.declare_subscriber(
+                self._keys.updates, zenoh.handlers.Callback(on_sample, indirect=False)
+            )
+        except zenoh.ZError as error:
+            raise ClientError(f"{self._keys.updates}: not heard: {reason(error)}") from error
+
+        def end() -> None:
+            # A session that was closed has ended it already.
+            with contextlib.suppress(zenoh.ZError):
+                subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+        return end
 
     def close(self) -> None:
         """Close the session, if it is ours; closing twice does nothing."""

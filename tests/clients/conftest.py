@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from ogm_core.cells.arrays import CellArrays
-from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import Lattice
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import encode_status
 from ogm_core.wire.keys import Service, Write
+from ogm_core.wire.map_update import MapUpdate, encode_update
 from status_json import STATUS
 
 MAP_NAME = "hall"
@@ -57,6 +58,8 @@ class FakeMapper:
         if name == "status":
             told = {name: getattr(self.snapshot, name) for name in ("epoch", "run", "revision")}
             return encode_status(replace(STATUS, **told, map=self.name))
+        if name == "map.tiles":
+            return encode_tiles(self.snapshot, parameters.get("since"))
         return encode_npz(self.snapshot) if name == "map.npz" else f"{name} as asked".encode()
 
     def map_meta(self):
@@ -67,6 +70,34 @@ class FakeMapper:
     def refusal(self):
         """The body of an error reply."""
         return self.problem if isinstance(self.problem, bytes) else json.dumps(self.problem).encode()
+
+
+def encode_tiles(snapshot, since):
+    """map.tiles of a snapshot: all of it, but for who has it."""
+    known = since == f"{snapshot.epoch}-{snapshot.run}-{snapshot.revision}"
+    rect, tiles = snapshot.rect, []
+    for ty in range(rect.iy // 64, (rect.iy + rect.height - 1) // 64 + 1):
+        tiles += [(tx, ty) for tx in range(rect.ix // 64, (rect.ix + rect.width - 1) // 64 + 1)]
+    cells = np.zeros((len(tiles), 64, 64), snapshot.cells.dtype)
+    for (iy, ix), value in np.ndenumerate(snapshot.cells):
+        (tx, x), (ty, y) = divmod(ix + rect.ix, 64), divmod(iy + rect.iy, 64)
+        cells[tiles.index((tx, ty)), y, x] = value
+    model = snapshot.model
+    update = MapUpdate(
+        epoch=snapshot.epoch,
+        run=snapshot.run,
+        prev=snapshot.revision if known else 0,
+        revision=snapshot.revision,
+        stamp=snapshot.stamp,
+        lattice=snapshot.lattice,
+        planes=model.planes,
+        model=model.described,
+        extent=rect,
+        tiles=np.array([] if known else tiles, np.int64).reshape(-1, 2),
+        cells={PLANE: cells[: 0 if known else None].reshape(-1, 64 * 64)},
+        whole=not known,
+    )
+    return encode_update(update)
 
 
 def on_query(mapper, query):

@@ -1,0 +1,277 @@
+"""Map follower: a copy of a mapper's map that a thread keeps up to date."""
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_client.errors import BadReply, CannotConnect, ClientError, MapperError, NobodyAnswered
+from ogm_client.map_copy import MapCopy, Place, Taken
+from ogm_client.map_grid import MapGrid
+from ogm_client.transport import Transport, Version
+from ogm_core.errors import BadMessage, OgmError
+from ogm_core.lattice import CellRect, Region
+from ogm_core.tiles.store import TILE
+from ogm_core.wire.map_update import MapUpdate, decode_updates
+
+SILENCE: Final = 3.0
+"""A mapper that tells what changes is asked when it has said nothing for so long, s."""
+_MAX_HEARD: Final = 16
+"""So many messages wait for the thread at most; who is farther behind asks."""
+_CLOSING: Final = 1.0
+"""How long `close` waits for the thread, s: it may be waiting for an answer."""
+_UNAVAILABLE: Final = 503
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """What a follower's map is now, and what of it has changed."""
+
+    epoch: str
+    run: str
+    revision: int
+    region: Region | None
+    """What holds every changed tile, m, rounded outward to whole tiles; None: no cell has changed."""
+    tiles: NDArray[np.int64]
+    """Which tiles of 64 x 64 cells have changed, shape (n, 2): (tx, ty) begins at cell (64 tx, 64 ty)."""
+    whole: bool
+    """Whether nothing of what was seen before holds any more: all tiles are among the changed ones."""
+    reset: bool
+    """Whether another life of the map was seen before: it was reset, restored, or its mapper started anew."""
+
+    @property
+    def version(self) -> Version:
+        """Which map it is: what the next `wait` is told."""
+        return Version(self.epoch, self.run, self.revision)
+
+
+class MapFollower:
+    """A map that follows its mapper's, cell for cell, as a context manager.
+
+        with mapper.follow() as follower:
+            change = follower.wait()
+            while change is not None:
+                print(change.region, follower.grid().revision)
+                change = follower.wait(after=change.version)
+
+    A thread of its own takes what the mapper tells, and asks for what it has missed; it goes on with a mapper
+    that is started anew. Any thread may call the methods.
+    """
+
+    def __init__(self, transport: Transport, max_bytes: int, interval: float) -> None:
+        """Take the map, which takes `max_bytes` at most; where nothing is told, ask every `interval` s.
+
+        Raises:
+            ClientError: as every request.
+        """
+        self._transport = transport
+        self._interval = interval
+        self._copy = MapCopy(max_bytes)
+        self._news = threading.Condition()
+        self._heard: deque[bytes] = deque(maxlen=_MAX_HEARD)
+        self._arrived = threading.Event()
+        """Whether there is something to do for the thread; Zenoh's own waits for nobody to set it."""
+        self._told = False
+        """Whether the mapper tells what changes: it has since it was last asked for being silent."""
+        self._trouble: OgmError | None = None
+        self._away_since = 0.0
+        self._ended: OgmError | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="ogm-follower", daemon=True)
+        # First: what changes between the answer and the subscription would be missed.
+        self._stop_hearing = transport.hear_updates(self._hear)
+        try:
+            self._ask()
+        except BaseException:
+            self._stop_hearing()
+            raise
+        self._thread.start()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the mapper was there when it was last asked, or has spoken since."""
+        return self._trouble is None and self._ended is None and not self._closed
+
+    @property
+    def version(self) -> Version:
+        """Which map the newest one is."""
+        with self._news:
+            version = self._copy.version
+            assert version is not None  # since the first answer
+            return version
+
+    def grid(self) -> MapGrid:
+        """The newest map, an array of its own; only what has changed since the last one is made anew.
+
+        Raises:
+            BadReply: the map's cells are none that this client can read, or take too much memory.
+        """
+        with self._news:
+            return self._copy.grid()
+
+    def wait(self, after: tuple[str, str, int] | None = None, timeout: float | None = None) -> Change | None:
+        """Wait for a map that is not the one `after`, (epoch, run, revision); tell what has changed since.
+
+        None: none has come within `timeout` s, or the follower was closed. While the mapper is away it
+        waits on.
+
+        Raises:
+            OgmError: what has ended the follower: the mapper refuses, what answers is none, or the client
+                was closed.
+        """
+        seen = None if after is None else Version(*after)
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
+        with self._news:
+            while self._copy.version == seen:
+                if self._ended is not None:
+                    raise self._ended
+                left = deadline - time.monotonic()
+                if self._closed or left <= 0.0:
+                    return None
+                self._news.wait(None if left == math.inf else left)
+            return self._change_since(seen)
+
+    def next_grid(self, seen: Version | None, patience: float) -> MapGrid:
+        """Wait for a map that is not the one `seen`; for a mapper that is away so many seconds.
+
+        Raises:
+            OgmError: it is still away, or as `wait`; ClientError, when the follower is closed.
+        """
+        with self._news:
+            while self._copy.version == seen:
+                if self._ended is not None:
+                    raise self._ended
+                if self._closed:
+                    raise ClientError("follow: the follower is closed")
+                left = math.inf
+                if self._trouble is not None:
+                    left = self._away_since + patience - time.monotonic()
+                    if left <= 0.0:
+                        raise self._trouble
+                self._news.wait(None if left == math.inf else left)
+            return self._copy.grid()
+
+    def close(self) -> None:
+        """Follow no longer; closing twice does nothing."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+        self._arrived.set()
+        self._stop_hearing()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_CLOSING)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _hear(self, payload: bytes) -> None:
+        self._heard.append(payload)  # the oldest one goes, if there is no room: a gap
+        self._arrived.set()
+
+    def _run(self) -> None:
+        while True:
+            payload = self._next_heard()
+            if self._closed:
+                return
+            try:
+                if payload is None:
+                    self._told = False
+                    self._ask()
+                else:
+                    self._told = True
+                    self._take(payload)
+            except (CannotConnect, NobodyAnswered, MapperError) as error:
+                if isinstance(error, MapperError) and error.status != _UNAVAILABLE:
+                    self._end(error)
+                    return
+                self._note_trouble(error)
+            except OgmError as error:
+                self._end(error)
+                return
+            else:
+                self._note_trouble(None)
+
+    def _next_heard(self) -> bytes | None:
+        """The next message; None when it is time to ask."""
+        patience = SILENCE if self._told and self._trouble is None else self._interval
+        if not self._heard and not self._closed:
+            self._arrived.wait(patience)
+        self._arrived.clear()
+        return self._heard.popleft() if self._heard else None
+
+    def _take(self, payload: bytes) -> None:
+        """Apply what was told, or ask for what has been missed."""
+        try:
+            updates = list(decode_updates(payload))
+        except BadMessage:
+            updates = []
+        if not updates or not all(self._follows(update) for update in updates):
+            self._ask()
+
+    def _follows(self, update: MapUpdate) -> bool:
+        """Apply what was told; whether nothing is missing now."""
+        with self._news:
+            taken = self._copy.take(update)
+            self._news.notify_all()
+        return taken in (Taken.APPLIED, Taken.KNOWN)
+
+    def _ask(self) -> None:
+        """Bring the copy up to date by what has changed since it was."""
+        mine = self._copy.version
+        since = {} if mine is None else {"since": "-".join(map(str, mine))}
+        payload = self._transport.fetch("map.tiles", since)
+        taken = None
+        try:
+            for update in decode_updates(payload):
+                with self._news:
+                    taken = self._copy.take(update, asked=True)
+                    self._news.notify_all()
+                if taken is Taken.GAP:
+                    break
+        except BadMessage as error:
+            raise BadReply(f"map.tiles: {error}") from error
+        if taken not in (Taken.APPLIED, Taken.KNOWN):
+            raise BadReply("map.tiles: what was answered is not what was asked for")
+
+    def _change_since(self, seen: Version | None) -> Change:
+        mine, newest = self._copy.version, self._copy.newest
+        assert mine is not None
+        assert newest is not None
+        other_life = seen is None or seen[:2] != mine[:2]
+        changed = sorted(self._copy.changed_since(seen))
+        rect = _rect_around(changed)
+        region = None if rect is None else newest.lattice.region_of(rect)
+        tiles = np.array(changed, np.int64).reshape(-1, 2)
+        return Change(*mine, region, tiles, whole=other_life, reset=seen is not None and other_life)
+
+    def _note_trouble(self, trouble: OgmError | None) -> None:
+        with self._news:
+            if self._trouble is None:
+                self._away_since = time.monotonic()
+            self._trouble = trouble
+            self._news.notify_all()
+
+    def _end(self, error: OgmError) -> None:
+        with self._news:
+            self._ended = error
+            self._news.notify_all()
+
+
+def _rect_around(tiles: list[Place]) -> CellRect | None:
+    """The cells of the smallest rectangle that holds some tiles; None of no tile."""
+    if not tiles:
+        return None
+    left, bottom = (min(tile[axis] for tile in tiles) for axis in (0, 1))
+    right, top = (max(tile[axis] for tile in tiles) + 1 for axis in (0, 1))
+    return CellRect(left * TILE, bottom * TILE, (right - left) * TILE, (top - bottom) * TILE)
