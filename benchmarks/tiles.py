@@ -2,8 +2,8 @@
 
 Overviews are measured in this process by CPU time, on workload `big` with ten updates a second of integration
 at full load: each brings all levels of all tiles up to date that scans have written since the one before.
-Nothing of this is done while nobody looks. Answers over HTTP are measured as those of whole maps are (see
-benchmarks.http_load).
+So are the messages that tell followers of these tiles. Nothing of this is done while nobody looks. Answers
+over HTTP are measured as those of whole maps are (see benchmarks.http_load).
 """
 
 import time
@@ -21,16 +21,19 @@ from benchmarks.workloads import Workload, first_scans, mapped, settings_of, who
 from ogm_core.grid import OccupancyGrid
 from ogm_core.pictures.tile_png import tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.changes import ChangedTiles
 from ogm_core.tiles.overviews import OVERVIEW_BYTES
 from ogm_core.tiles.pyramid import Square, TilePyramid, revision_of
 from ogm_core.tiles.view import TileView
+from ogm_core.wire.map_changes import updates_of
+from ogm_core.wire.map_update import encode_update
 
 ROUNDS, QUICK_ROUNDS = 5, 1
 SECONDS, QUICK_SECONDS = 3.0, 1.0
 QUICK_SCANS = 300
 PERIOD = 0.1
 """Time of integration between two updates, s."""
-UPKEEP_TARGET, WARM_TARGET = 15.0, 0.8
+UPKEEP_TARGET, TOLD_TARGET, WARM_TARGET = 15.0, 15.0, 0.8
 ALL = [Square(10, x, y) for x in (-1, 0) for y in (-1, 0)]
 """Tiles that show all of the workload's map."""
 WARM = Square(13, 0, -1)
@@ -40,7 +43,7 @@ def run(quick: bool) -> list[Result]:
     """Measure on workload `big`; `quick`: on its first scans, once."""
     work = first_scans(whole_big(), QUICK_SCANS) if quick else whole_big()
     rounds = QUICK_ROUNDS if quick else ROUNDS
-    return [*upkeep(work, rounds), *pictures(work, rounds), *warm(work, quick)]
+    return [*upkeep(work, rounds), *told(work, rounds), *pictures(work, rounds), *warm(work, quick)]
 
 
 def upkeep(work: Workload, rounds: int) -> list[Result]:
@@ -81,6 +84,46 @@ def _mapped_and_looked_at(work: Workload) -> tuple[float, float, float, int]:
         made += int(np.count_nonzero(revisions > looked))
         since, looked = 0.0, grid.revision
     return integration, copies, overviews, made
+
+
+def told(work: Workload, rounds: int) -> list[Result]:
+    """How much telling followers costs beside integration, at PERIOD, however many they are."""
+    mapped(first_scans(work, 1))
+    spent = np.min([_mapped_and_told(work) for _ in range(rounds)], axis=0)
+    integration, copies, telling, tiles, size = spent.tolist()
+    group = f"followers of big, told {1 / PERIOD:.0f} times a second of integration: CPU time of the mapper"
+    return [
+        Result(group, "share of integration", 100 * telling / integration, "%", TOLD_TARGET, at_least=False),
+        Result(
+            group, "the same with the copies that readers get", 100 * (telling + copies) / integration, "%"
+        ),
+        Result(group, "for each tile of 64 x 64 cells that was written", 1e6 * telling / tiles, "us"),
+        Result(group, "bytes for each such tile", size / tiles, "B"),
+    ]
+
+
+def _mapped_and_told(work: Workload) -> tuple[float, float, float, int, int]:
+    """CPU time of integration, of copies and of messages, s; how many tiles were told, in how many bytes."""
+    grid = OccupancyGrid(settings_of(work))
+    integration = copies = telling = since = 0.0
+    tiles, size, seen = 0, 0, 0
+    for n, (scan, pose, _) in enumerate(work.scans):
+        begin = time.thread_time()
+        grid.integrate(scan, pose)
+        took = time.thread_time() - begin
+        integration, since = integration + took, since + took
+        if since < PERIOD and n + 1 < len(work.scans):
+            continue
+        begin = time.thread_time()
+        snapshot = grid.snapshot()
+        copied = time.thread_time()
+        changed = ChangedTiles.since(_view(snapshot).tiles, seen)
+        messages = [encode_update(update) for update in updates_of(snapshot, changed, seen)]
+        telling += time.thread_time() - copied
+        copies += copied - begin
+        tiles, size = tiles + len(changed), size + sum(map(len, messages))
+        since, seen = 0.0, grid.revision
+    return integration, copies, telling, tiles, size
 
 
 def pictures(work: Workload, rounds: int) -> list[Result]:

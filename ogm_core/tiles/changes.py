@@ -44,10 +44,17 @@ class ChangedTiles(NamedTuple):
     def planes(self) -> dict[str, NDArray[Any]]:
         """Their stored cells by plane: shape (n, cells of a tile), row after row."""
         found = self.copies.find(self.copies.numbers[self.tx, self.ty])
+        if len(found) == 1:
+            ((tiles, _, rows),) = found
+            # Mostly: what has changed since the copy before is this one's newest block. Nobody writes it.
+            if rows[-1] - rows[0] + 1 == len(rows):
+                return {name: cells[rows[0] : rows[-1] + 1] for name, cells in tiles.items()}
         planes: dict[str, NDArray[Any]] = {}
         for tiles, here, rows in found:
             for name, cells in tiles.items():
                 if name not in planes:
                     planes[name] = np.empty((len(self), cells.shape[1]), cells.dtype)
-                planes[name][here] = cells[rows]
+                # In order of their numbers those of a block are side by side.
+                part = planes[name][here[0] : here[-1] + 1]
+                np.take(cells, rows, axis=0, out=part, mode="clip")
         return planes

@@ -73,11 +73,9 @@ def tiles_at_once(planes: tuple[Plane, ...]) -> int:
 
 def encode_update(update: MapUpdate) -> bytes:
     """MessagePack form of a message."""
-    numbers = b"".join(
-        update.cells[plane.name].astype(plane.dtype.newbyteorder("<"), copy=False).tobytes()
-        for plane in update.planes
-        if len(update.tiles)
-    )
+    packing = isal_zlib.compressobj(_LEVEL)
+    planes = [] if not len(update.tiles) else [update.cells[plane.name] for plane in update.planes]
+    packed = [packing.compress(_little_endian(plane)) for plane in planes]
     fields = {
         "epoch": update.epoch,
         "run": update.run,
@@ -96,9 +94,13 @@ def encode_update(update: MapUpdate) -> bytes:
         "model": dict(update.model),
         "extent_cells": list(update.extent),
         "tiles": update.tiles.astype(_PLACE, copy=False).tobytes(),
-        "data": isal_zlib.compress(numbers, _LEVEL),
+        "data": b"".join((*packed, packing.flush())),
     }
     return bytes(msgpack.packb(fields))
+
+
+def _little_endian(plane: NDArray[Any]) -> memoryview:
+    return np.ascontiguousarray(plane, plane.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data
 
 
 def decode_updates(payload: bytes) -> Iterator[MapUpdate]:

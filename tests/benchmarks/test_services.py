@@ -15,7 +15,7 @@ from benchmarks.pictures import NEAR, picture_of, pillow, short_sighted
 from benchmarks.robots import DRIFT, RATE, ROBOTS, timetable
 from benchmarks.running import line_after, map_scans, mapper, program
 from benchmarks.throughput import encoded, handled
-from benchmarks.tiles import _mapped_and_looked_at, upkeep
+from benchmarks.tiles import _mapped_and_looked_at, _mapped_and_told, told, upkeep
 from benchmarks.workloads import big, lab_exercise, mapped
 from ogm_client import MapClient
 from ogm_core.files.map_files import encode_png
@@ -112,6 +112,15 @@ def test_overviews_are_kept_up_to_date_of_every_tile_that_was_written():
     assert of_a_tile.value > 0.0
     made = _mapped_and_looked_at(work)[-1]
     assert made == np.count_nonzero(mapped(work).snapshot().stored.tiles.numbers)
+
+
+def test_followers_are_told_of_every_tile_that_was_written():
+    work = big(3)
+    share, both, of_a_tile, size = told(work, 1)
+    assert 0.0 < share.value < both.value
+    assert (share.at_least, of_a_tile.value > 0.0, 16.0 < size.value < 8192.0) == (False, True, True)
+    tiles = _mapped_and_told(work)[-2]
+    assert tiles == np.count_nonzero(mapped(work).snapshot().stored.tiles.numbers)
 
 
 def test_messages_go_round_the_lap_and_count_on():
