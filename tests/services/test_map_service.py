@@ -155,6 +155,36 @@ def test_more_requests_than_may_wait_are_refused(join, eventually, monkeypatch):
         assert called(robot, eventually) == "0 requests wait already"
 
 
+class Asked:
+    """A request, and what it is told."""
+
+    def __init__(self):
+        self.told = []
+
+    def answer(self, payload):
+        self.told.append(read(payload)[0])
+
+    def refuse(self, why):
+        self.told.append(why)
+
+
+def test_who_still_waits_when_the_service_ends_is_told(monkeypatch):
+    monkeypatch.setattr(map_service, "_CLOSING", 0.0)
+    fetch, first, later = Fetch([[100]]), Asked(), [Asked(), Asked()]
+    fetch.go_on.clear()
+    service = MapService(NAME, [], fetch)
+    service._take(first)
+    assert fetch.begun.wait(20.0)
+    for asked in later:
+        service._take(asked)
+    service.close()
+    fetch.go_on.set()
+    service._thread.join(20.0)
+    assert first.told == [[[100]]]
+    assert [asked.told for asked in later] == [["the map is offered no more"]] * 2
+    assert fetch.fetched == 1
+
+
 def test_a_service_that_another_node_offers_is_not_offered_twice(network, eventually, caplog):
     source, robot = network
     robot.serves(NAME)

@@ -60,7 +60,9 @@ class MapService:
             asked = [first]
             while not self._waiting.empty():
                 other = self._waiting.get()
-                if other is None:
+                if other is None:  # who asked is not to wait for what will not come
+                    for request in asked:
+                        request.refuse("the map is offered no more")
                     return
                 asked.append(other)
             self._answer(asked)
