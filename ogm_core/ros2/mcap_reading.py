@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import BinaryIO, NamedTuple
 
 from ogm_core.errors import BadRecording
@@ -45,9 +46,9 @@ def is_recording(file: BinaryIO) -> bool:
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
         return False
-    names = list(_schemas_of_summary(file)) if is_whole(file) else []
     try:
-        return any(name in _OURS for name in names or _schemas_looked_at(McapRecords(file)))
+        names = list(_schemas_in(records_of_summary(file)))
+        return any(name in _OURS for name in names or _schemas_in(_looked_at(McapRecords(file))))
     except BadRecording:
         return False
 
@@ -159,10 +160,10 @@ def _message(
     )
 
 
-def _schemas_of_summary(file: BinaryIO) -> Iterator[str]:
-    """The names of the schemas that a whole file's summary repeats, if it has one."""
+def records_of_summary(file: BinaryIO) -> Iterator[tuple[int, memoryview]]:
+    """The records of a whole file's summary by kind, as far as they can be read; none if it has none."""
     file.seek(0, 2)
-    if file.tell() < _FOOTER.size:
+    if file.tell() < _FOOTER.size or not is_whole(file):
         return
     file.seek(-_FOOTER.size, 2)
     end = file.tell()
@@ -170,21 +171,23 @@ def _schemas_of_summary(file: BinaryIO) -> Iterator[str]:
     if kind != mcap_records.FOOTER or not 0 < start < end or end - start > _LOOK:
         return
     file.seek(start)
-    try:
-        for of, record in mcap_records.records_in(file.read(end - start)):
-            if of == mcap_records.SCHEMA:
-                yield mcap_records.schema(record)[1]
-    except DamagedRecord:
-        return
+    with suppress(DamagedRecord):
+        yield from mcap_records.records_in(file.read(end - start))
 
 
-def _schemas_looked_at(records: McapRecords) -> Iterator[str]:
-    """The names of the schemas in the first _LOOK bytes."""
-    for kind, record in records.records():
-        if records.read > _LOOK:
-            return
+def _schemas_in(records: Iterator[tuple[int, memoryview]]) -> Iterator[str]:
+    """The names of the schemas among records, up to one that is damaged."""
+    for kind, record in records:
         if kind == mcap_records.SCHEMA:
             try:
                 yield mcap_records.schema(record)[1]
             except DamagedRecord:
                 return
+
+
+def _looked_at(records: McapRecords) -> Iterator[tuple[int, memoryview]]:
+    """The records in the first _LOOK bytes, by kind."""
+    for kind, record in records.records():
+        if records.read > _LOOK:
+            return
+        yield kind, record

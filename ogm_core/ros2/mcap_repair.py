@@ -1,13 +1,14 @@
 """MCAP files made whole: what can be read of one that was cut short or is damaged, with a summary again."""
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
 from ogm_core.errors import BadRecording
 from ogm_core.ros2 import mcap_records
 from ogm_core.ros2.mcap_package import mcap_package
-from ogm_core.ros2.mcap_reading import McapRecords
+from ogm_core.ros2.mcap_reading import McapRecords, records_of_summary
 
 
 @dataclass
@@ -22,6 +23,8 @@ class Repaired:
     """Bytes at the file's end of which no more than a part can be read."""
     damaged: int = 0
     """Chunks, and records outside of them, that are left out."""
+    undescribed: int = 0
+    """Messages that are left out since what describes their channel is damaged, or never was there."""
     whole: bool = False
     """Whether there was nothing to repair."""
 
@@ -35,6 +38,8 @@ def repair(source: BinaryIO, target: BinaryIO) -> Repaired:
     """
     records, copy = McapRecords(source), _Copy(target)
     found = copy.found
+    for of, each in records_of_summary(source):
+        copy.note(of, bytes(each))
     try:
         for kind, record in records.chunks():
             if kind != mcap_records.CHUNK:
@@ -50,7 +55,7 @@ def repair(source: BinaryIO, target: BinaryIO) -> Repaired:
     except BadRecording:
         pass  # nobody can tell where the next record begins
     copy.finish()
-    found.whole = records.whole and not found.damaged
+    found.whole = records.whole and not found.damaged and not found.undescribed
     found.unread = 0 if records.whole else records.size - records.read
     return found
 
@@ -65,8 +70,17 @@ class _Copy:
         self._schemas: dict[int, int] = {0: 0}
         self._names: dict[int, str] = {}
         self._channels: dict[int, Any] = {}
+        self._noted: dict[tuple[int, int], Any] = {}
+        """What describes channels once more, by kind and number."""
         self._numbers: dict[int, int] = {}
         self._begun = False
+
+    def note(self, kind: int, record: bytes) -> None:
+        """Remember what a summary says of a channel: where it is described first may be damaged."""
+        if kind in (mcap_records.SCHEMA, mcap_records.CHANNEL):
+            with suppress(Exception):  # whatever mcap makes of bytes that are no such record
+                made = self._mcap.RECORDS[kind](record)
+                self._noted[kind, made.id] = made
 
     def put(self, kind: int, record: bytes) -> None:
         """Copy a record, if that is what it claims to be."""
@@ -80,9 +94,8 @@ class _Copy:
             return
         self._begin(made if kind == mcap_records.HEADER else None)
         match kind:
-            case mcap_records.SCHEMA if made.id not in self._schemas:
-                self._schemas[made.id] = self._writer.register_schema(made.name, made.encoding, made.data)
-                self._names[made.id] = made.name
+            case mcap_records.SCHEMA:
+                self._put_schema(made)
             case mcap_records.CHANNEL:
                 self._channels.setdefault(made.id, made)
             case mcap_records.MESSAGE:
@@ -105,10 +118,24 @@ class _Copy:
             profile, library = ("", "") if header is None else (header.profile, header.library)
             self._writer.start(profile=profile, library=library)
 
+    def _put_schema(self, schema: Any) -> None:  # noqa: ANN401 - a record of mcap
+        if schema is not None and schema.id not in self._schemas:
+            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._names[schema.id] = schema.name
+
+    def _channel(self, number: int) -> Any:  # noqa: ANN401 - a record of mcap
+        """What describes a channel, with its schema in the copy; None if that cannot be read anywhere."""
+        channel = self._channels.get(number) or self._noted.get((mcap_records.CHANNEL, number))
+        if channel is None:
+            return None
+        self._put_schema(self._noted.get((mcap_records.SCHEMA, channel.schema_id)))
+        return channel if channel.schema_id in self._schemas else None
+
     def _put_message(self, message: Any) -> None:  # noqa: ANN401 - a record of mcap
-        channel = self._channels.get(message.channel_id)
-        if channel is None or channel.schema_id not in self._schemas:
-            return  # what says of which it is was in a chunk that is damaged
+        channel = self._channel(message.channel_id)
+        if channel is None:
+            self.found.undescribed += 1
+            return
         if channel.id not in self._numbers:
             schema = self._schemas[channel.schema_id]
             self._numbers[channel.id] = self._writer.register_channel(

@@ -291,6 +291,31 @@ def test_damaged_chunks_are_left_out_and_counted(tmp_path):
     assert [each for each in before if each in after] == after
 
 
+@pytest.mark.parametrize("finished", [False, True])
+def test_messages_whose_description_is_damaged_are_counted_unless_the_summary_has_it(tmp_path, finished):
+    """Types and channels are described in the chunk of their first message, and in the summary."""
+    path = tmp_path / "a.mcap"
+    with path.open("xb") as file:
+        writer = McapWriter(file)
+        for n in range(6):
+            writer.pose("r", pose(10**9 * n, n), 10**9 * n)
+            writer.flush()
+        for n in range(6, 12):
+            writer.scan("r", "s-1", scan(10**9 * n, n), 10**9 * n)
+            writer.flush()
+        if finished:
+            writer.finish()
+    before, content = read(path), bytearray(path.read_bytes())
+    content[content.index(ZSTD) + 100] ^= 1
+    path.write_bytes(content)
+    said = repair_recording(path)
+    assert "; 1 damaged chunks are left out" in said
+    # Without a summary five poses, and of the transforms, whose first is damaged, five and six.
+    assert ("; 16 messages whose description is damaged are left out" in said) != finished
+    assert ("description" in said) != finished
+    assert read(path) == before[1 if finished else 6 :]
+
+
 def test_what_cannot_be_repaired_stays(tmp_path):
     path = tmp_path / "a.mcap"
     for content in (b"", b"{}", b"\x89MCAP0\r\n\0"):

@@ -40,6 +40,8 @@ def repair_recording(path: Path) -> str:
         raise kind(cannot(path, "repaired", error)) from error
     until = datetime.fromtimestamp(found.last / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     left_out = [f"{found.damaged} damaged chunks are left out"] if found.damaged else []
+    if found.undescribed:
+        left_out.append(f"{found.undescribed} messages whose description is damaged are left out")
     left_out += [f"its last {found.unread} bytes were cut"] if found.unread else []
     return "; ".join([f"{path}: is whole again, with {_kept(found)}, the last of {until}", *left_out])
 
