@@ -8,9 +8,10 @@ from contextlib import ExitStack
 import numpy as np
 
 from benchmarks.growth import Case, Costs, Factor, Floats, best_of, place
+from ogm_core.placing.placement import ScanSink
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.rules import PlacingRules
-from ogm_core.placing.scan_placer import ScanPlacer, ScanSink
+from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, encode_pose, encode_scan

@@ -2,42 +2,29 @@
 
 import math
 from collections.abc import Callable
-from itertools import islice
-from typing import Protocol, cast
 
-from ogm_core.errors import ScanRefused, Stale
 from ogm_core.placing import reasons
 from ogm_core.placing.decided import Decided
-from ogm_core.placing.hints import Hint, Hints
+from ogm_core.placing.hints import Hints
 from ogm_core.placing.other_robots import OtherRobots
-from ogm_core.placing.reasons import Reason
-from ogm_core.placing.receipts import DropReason, Receipts
+from ogm_core.placing.outcomes import Outcomes
+from ogm_core.placing.placement import Placement, ScanSink, is_ready
+from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.robot import Expected, Robot
 from ogm_core.placing.robot_poses import Verdict
 from ogm_core.placing.robots import Complain, Robots
-from ogm_core.placing.rules import DEFAULT_RULES, MAX_WAITING_SCANS, WAITING_NS, PlacingRules
+from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.source import Source
 from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits
-from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan, Sweep
+from ogm_core.placing.waiting_room import WaitingRoom
+from ogm_core.types import PoseStamped, Scan
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
 
-_NO_HINTS: tuple[Hint, ...] = ()
 RECENT_NS = 10_000_000_000
 """A robot whose newest stamp is older than another's by no more than that has been heard of lately."""
-
-
-class ScanSink(Protocol):
-    """Where placed scans go: an `OccupancyGrid`, or something that stands in for one."""
-
-    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
-        """Take a scan at its sensor's pose in the map frame; raise ScanRefused to refuse it.
-
-        `sweep`: the sensor's pose at every beam, where beams were taken one after the other.
-        """
-        ...
 
 
 class ScanPlacer:
@@ -70,8 +57,6 @@ class ScanPlacer:
         `robots_limit`: bytes that poses, seqs and runs of all robots may hold. `other_robots` skips the beams
         that end at other robots.
         """
-        self._sink = sink
-        self._integrated = integrated
         self._receipts = receipts
         self._complain = complain
         self._rules = rules
@@ -80,8 +65,14 @@ class ScanPlacer:
         self.decided = Decided(self._robots)
         self._messages = 0
         self._limits = limits
-        self._stopping = stopping
         self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
+        self._outcomes = Outcomes(receipts, complain)
+        self._placement = Placement(
+            sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots
+        )
+        self._waiting = WaitingRoom(
+            self._robots, self._outcomes, self._placement, rules.pose_wait, limits, stopping
+        )
 
     @property
     def waiting_bytes(self) -> int:
@@ -130,7 +121,7 @@ class ScanPlacer:
         for source in robot.sources.values():
             source.holds = False
         if robot.waiting:
-            self._look_again(name, robot)
+            self._waiting.look_again(name, robot)
 
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Take a robot's scan: place it if its pose is known, else let it wait."""
@@ -139,58 +130,46 @@ class ScanPlacer:
             self._take_skipped(now)
         robot = self._robots.touched(name, now, self._messages)
         if robot is None:
-            self._refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
+            self._outcomes.refuse(name, sensor, ROBOTS, reasons.too_many_robots(name))
             return
         source = robot.source(sensor)
         if source is None:
-            self._refuse(name, sensor, name, reasons.too_many_sensors(sensor))
+            self._outcomes.refuse(name, sensor, name, reasons.too_many_sensors(sensor))
             return
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
         for hint in self._hints.look(source.name, scan):
-            self._hint(name, sensor, hint)
+            self._outcomes.hint(name, sensor, hint)
         expected = robot.take_expected(sensor, scan) if robot.expected else None
         if expected is not None:
             item = Waiting(sensor, scan, expected.number, now, self._limits.cells_of(scan))
-            self._wait_for_pose(name, robot, source, item)
+            self._waiting.add(name, robot, source, item)
             return
         if source.seen(scan):
-            self._drop(
+            self._outcomes.drop(
                 name, sensor, "duplicate", reasons.RENUMBERED if source.repeats(scan) else reasons.SEEN
             )
             return
         if scan.pose is not None:
             self._number(source, scan)
             self._receipts.located(name, scan.stamp, scan.pose)
-            self._place(name, robot, sensor, scan, now)
+            self._placement.place(name, robot, sensor, scan, now)
             return
         owner = self._replaced_by(robot, source, scan.run)
         if owner is not None:
             self._number(source, scan)
-            self._drop(name, sensor, "superseded", reasons.superseded_scan(scan.run, owner))
+            self._outcomes.drop(name, sensor, "superseded", reasons.superseded_scan(scan.run, owner))
             return
         back = source.take(scan, self._messages, robot.poses.histories)
         self._number(source, scan)
         if back:
             self._complain(f"{name}/{sensor}", *reasons.sensor_clock_went_back(back))
-            self._give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
+            self._waiting.give_up(name, robot, reasons.STEPPED, lambda item: item.sensor == sensor)
             robot.forget_expected(lambda item: item.sensor == sensor)
-        if not source.holds and _is_ready(robot, scan):
-            self._place(name, robot, sensor, scan, now)
+        if not source.holds and is_ready(robot, scan):
+            self._placement.place(name, robot, sensor, scan, now)
             return
         item = Waiting(sensor, scan, self._messages, now, self._limits.cells_of(scan))
-        self._wait_for_pose(name, robot, source, item)
-
-    def _wait_for_pose(self, name: str, robot: Robot, source: Source, item: Waiting) -> None:
-        """Let a scan wait, unless it is ready, or will never be."""
-        if source.holds:  # for whichever pose comes next: how far ahead it is matters only then
-            robot.waiting.append(item)
-            waits = True
-        else:
-            waits = self._try(name, robot, item)
-        if waits:
-            if source.crowds(item.scan.stamp):
-                self._limit_waiting(name, robot, item.sensor)
-            self._make_room(name, robot)
+        self._waiting.add(name, robot, source, item)
 
     def robot_here(self, name: str, run: str, now: float = 0.0) -> None:
         """Note that the liveliness token of a robot's run is there."""
@@ -219,8 +198,8 @@ class ScanPlacer:
         for name, robot in self._robots.items():
             waited = max(robot.pose_heard, self.decided.waits_until(name))
             if robot.waiting and now - max(waited, robot.waiting.first.handed) > wait:
-                why = self._why_none(name, robot, reasons.waited(wait))
-                self._give_up(name, robot, why, lambda item: now - item.handed > wait)
+                why = self._waiting.why_none(name, robot, reasons.waited(wait))
+                self._waiting.give_up(name, robot, why, lambda item: now - item.handed > wait)
         for name in self._receipts.gone(now):
             self._forget(name, now)
 
@@ -253,7 +232,7 @@ class ScanPlacer:
         """Forget a robot that is gone: should it come back, all begins anew for it."""
         robot = self._robots.get(name)
         if robot is not None and robot.waiting:
-            self._give_up(name, robot, self._why_none(name, robot, reasons.FORGOTTEN))
+            self._waiting.give_up(name, robot, self._waiting.why_none(name, robot, reasons.FORGOTTEN))
         if self._receipts.forget(name, now) and robot is not None:
             self._robots.forget(name)
             if self._other_robots is not None:
@@ -264,14 +243,7 @@ class ScanPlacer:
     def finish(self) -> None:
         """Drop every waiting scan: no pose will come any more."""
         for name, robot in self._robots.items():
-            self._give_up(name, robot, self._why_none(name, robot, reasons.LOG_ENDED))
-
-    def _why_none(self, name: str, robot: Robot, else_why: Reason) -> Reason:
-        """Why no pose has come for a scan: maybe because none ever did."""
-        if robot.poses.owner is not None:
-            return else_why
-        others = (other for other, known in self._robots.items() if known.poses.owner is not None)
-        return reasons.no_pose_ever(name, list(islice(others, 5)))
+            self._waiting.give_up(name, robot, self._waiting.why_none(name, robot, reasons.LOG_ENDED))
 
     def _number(self, source: Source, scan: Scan) -> None:
         """Note the seq of a scan, which may make its robot hold more."""
@@ -303,133 +275,7 @@ class ScanPlacer:
             step_at = sources[item.sensor].step_at
             return step_at is None or item.number < step_at
 
-        self._give_up(name, robot, reasons.began_anew(verdict.began or ""), is_of_before)
+        self._waiting.give_up(name, robot, reasons.began_anew(verdict.began or ""), is_of_before)
         robot.forget_expected(was_of_before)
         for source in sources.values():
             source.step_at = None
-
-    def _look_again(self, name: str, robot: Robot) -> None:
-        """Try every scan that waits, in order of arrival."""
-        bugs = []
-        for item in robot.waiting.take():
-            if self._stopping():
-                robot.waiting.append(item)
-                continue
-            try:
-                self._try(name, robot, item)
-            except Exception as bug:  # noqa: BLE001 (raised below)
-                bugs.append(bug)
-        if bugs:
-            raise ExceptionGroup(f"scans of {name} that waited for this pose", bugs)
-
-    def _try(self, name: str, robot: Robot, item: Waiting) -> bool:
-        """Place a scan that is ready, drop one that will never be, let the others wait; whether it waits."""
-        scan, newest = item.scan, robot.poses.newest
-        if _is_ready(robot, scan):
-            self._place(name, robot, item.sensor, scan, item.handed)
-        elif newest is not None and scan.stamp - newest > self._rules.pose_wait * 1e9:
-            ahead = reasons.ahead(scan.stamp - newest, self._rules.pose_wait)
-            self._drop(name, item.sensor, "no_pose", ahead)
-        else:
-            robot.waiting.append(item)
-            return True
-        return False
-
-    def _limit_waiting(self, name: str, robot: Robot, sensor: str) -> None:
-        """Give up those scans of a sensor that wait while much newer ones do, or too many."""
-        mine = [item for item in robot.waiting if item.sensor == sensor]
-        newest = max(item.scan.stamp for item in mine)
-        most = MAX_WAITING_SCANS
-        kept = most if len(mine) <= most else most * 7 // 8  # not one by one
-        oldest_number = mine[-kept:][0].number
-        self._give_up(
-            name,
-            robot,
-            self._why_none(name, robot, reasons.CROWDED),
-            lambda item: (
-                item.sensor == sensor
-                and (newest - item.scan.stamp > WAITING_NS or item.number < oldest_number)
-            ),
-        )
-        stamps = [item.scan.stamp for item in robot.waiting if item.sensor == sensor]
-        robot.sources[sensor].waiting = len(stamps), min(stamps), max(stamps)
-
-    def _make_room(self, name: str, robot: Robot) -> None:
-        """Give up the oldest scans of a robot past its limit, then of the one that holds the most bytes."""
-        limits = self._limits
-        while robot.waiting.cells > limits.cells and len(robot.waiting) > 1:
-            sensor = robot.waiting.take_first().sensor
-            self._drop(name, sensor, "no_pose", reasons.too_much_waits(limits.cells))
-        while self._robots.waiting.nbytes > limits.nbytes:
-            name, robot = max(self._robots.items(), key=lambda entry: entry[1].waiting.nbytes)
-            robot.told = None
-            sensor = robot.waiting.take_first().sensor
-            self._drop(name, sensor, "no_pose", reasons.no_room(limits.nbytes))
-
-    def _give_up(
-        self, name: str, robot: Robot, why: Reason, which: Callable[[Waiting], bool] = lambda _: True
-    ) -> None:
-        """Drop those of the waiting scans that `which` chooses."""
-        for item in robot.waiting.take(which):
-            robot.told = None
-            self._drop(name, item.sensor, "no_pose", why)
-
-    def _place(self, name: str, robot: Robot, sensor: str, scan: Scan, handed: float) -> None:
-        """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
-        try:
-            base, sweep = self._pose_of(robot, scan)
-            pose = base.compose(scan.mount)
-            skipped, told = 0, _NO_HINTS
-            if self._other_robots is not None:
-                placed = PlacedScan(scan, pose, sweep)
-                scan, skipped, told = self._other_robots.without(name, robot, self._robots.get, placed)
-            self._sink.integrate(scan, pose, sweep)
-        except ScanRefused as refusal:
-            self._drop(name, sensor, cast(DropReason, refusal.slug), Reason(refusal.kind, str(refusal)))
-        except Exception:
-            self._receipts.scan_dropped(name, sensor, "failed")
-            raise
-        else:
-            self._receipts.scan_integrated(name, sensor, skipped)
-            self._integrated(handed)
-            for hint in told:
-                self._hint(name, sensor, hint)
-            for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
-                self._hint(name, sensor, hint)
-
-    @staticmethod
-    def _pose_of(robot: Robot, scan: Scan) -> tuple[Pose, Sweep | None]:
-        """Base pose of a scan whose poses have all arrived; sensor poses of its beams if they differ in time.
-
-        Raises:
-            NoPose: the poses do not tell.
-            Stale: they begin later.
-        """
-        if scan.pose is not None:
-            return scan.pose, None
-        history = robot.poses.history
-        if scan.stamp < cast(int, history.oldest):
-            raise Stale(reasons.stale(cast(int, history.oldest) - scan.stamp).text)
-        sweep = None if scan.time_increment == 0.0 else history.along(scan)
-        return history.at(scan.stamp), sweep
-
-    def _hint(self, name: str, sensor: str, hint: Hint) -> None:
-        self._receipts.hint(name, sensor, hint.slug)
-        self._complain(f"{name}/{sensor}", f"hint {hint.slug}", hint.text)
-
-    def _refuse(self, name: str, sensor: str, whom: str, why: Reason) -> None:
-        self._receipts.scan_dropped(name, sensor, "refused")
-        self._complain(whom, *why)
-
-    def _drop(self, name: str, sensor: str, reason: DropReason, why: Reason) -> None:
-        self._receipts.scan_dropped(name, sensor, reason)
-        self._complain(f"{name}/{sensor}", why.kind, f"a scan is dropped ({reason}): {why.text}")
-
-
-def _is_ready(robot: Robot, scan: Scan) -> bool:
-    """Whether it can be told where a scan was taken, or that it never can be: it is of before all poses."""
-    history = robot.poses.history
-    newest, oldest = history.newest, history.oldest
-    if newest is None or oldest is None:
-        return False
-    return max(scan.stamp, scan.end_stamp) <= newest or scan.stamp < oldest

@@ -6,10 +6,11 @@ from ogm_core.errors import BadMessage
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.placing.hints import Hints
 from ogm_core.placing.other_robots import OtherRobots
+from ogm_core.placing.placement import ScanSink
 from ogm_core.placing.reasons import too_many_robots, too_many_sensors
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.robot_rules import RobotRules
-from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer, ScanSink
+from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Scan

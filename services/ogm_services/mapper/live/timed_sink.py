@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ogm_core.placing.scan_placer import ScanSink
+from ogm_core.placing.placement import ScanSink
 from ogm_core.types import Pose, Scan, Sweep
 
 
