@@ -1,6 +1,7 @@
 """`ogm record`: the file holds what the mapper had, whatever ends it, and gives the mapper's map."""
 
 import json
+import re
 import resource
 import signal
 
@@ -118,11 +119,30 @@ def test_a_full_disk_ends_it_in_one_line(ogm, endpoint):
     seqs, whole = scans_in(ogm.folder / "live.mcap")
     assert not whole
     assert len(seqs["robot1"]) > 20
+    told = int(
+        re.search(r"; at least (\d+) scans and \d+ poses of robot1, robot2 can be read;", ended.warnings)[1]
+    )
+    assert 40 < told <= sum(map(len, seqs.values()))
     assert f"({sum(map(len, seqs.values()))} scans and" in ogm.call("record", "--repair", "live.mcap").out
 
 
 def test_it_waits_for_a_network_and_ends_well_without_one(ogm, endpoint):
     command = ogm.start("record", "--connect", endpoint, "-o", "a.mcap")
     command.complains("waiting for")
-    assert command.stop(signal.SIGINT).code == 0
+    ended = command.stop(signal.SIGINT)
+    assert (ended.code, ended.out) == (0, "a.mcap is not made: neither a mapper nor a router was there\n")
     assert not (ogm.folder / "a.mcap").exists()
+
+
+def test_who_records_another_map_is_told_that_nothing_came(ogm, endpoint):
+    """As with a wrong --map; so that nobody takes an empty file home."""
+    command = ogm.start("record", "--listen", endpoint, "--map", "floor2", "-o", "a.mcap")
+    command.line("recording map floor2")
+    assert ogm.run("simulate", "--connect", endpoint, "--scans", 2).code == 0
+    ended = command.stop(signal.SIGINT)
+    assert (ended.code, ended.out.splitlines()[-1]) == (
+        0,
+        "a.mcap: 0 scans and 0 poses of 0 robots: no robot published to map floor2; "
+        "robots and recorder need the same --map and address",
+    )
+    assert ogm.run("build", "a.mcap", "--out", "a").complaint(2) == "ogm: a.mcap: holds no message\n"

@@ -210,11 +210,26 @@ def test_a_full_disk_ends_it_and_what_came_before_is_read():
     sink.add_pose("r", pose(1, 1))
     sink.flush()
     assert (sink.scans, sink.poses, sink.failure.errno) == (count, 0, 28)
+    assert sink.safe == (count - 1, 0)
     kept = [each for each in McapRecords(disk) if each.type == "ogm_msgs/msg/Scan"]
     assert len(kept) == count - 1
     failed = command._ended("a.mcap", "9 scans", sink.failure)
     assert isinstance(failed, DiskFull)
-    assert "a.mcap: cannot be written any more: No space left on device; 9 scans came before" in str(failed)
+    assert "a.mcap: cannot be written any more: No space left on device; at least 9 scans can be r" in str(
+        failed
+    )
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_in_the_way(tmp_path):
+    class Disk(io.BytesIO):
+        def write(self, data):
+            raise OSError(28, os.strerror(28))
+
+    path = tmp_path / "a.mcap"
+    path.touch()
+    with pytest.raises(DiskFull, match=r"^-o .*a\.mcap: cannot be written: No space left on device$"):
+        command._begun(path, Disk())
+    assert not path.exists()
 
 
 def test_a_recording_is_a_new_file(tmp_path):

@@ -18,8 +18,9 @@ from ogm_client.session import open_session
 from ogm_core.errors import BadInput, DiskFull
 from ogm_core.ros2.mcap_recording import MAP_FRAME, McapWriter, check_writable
 from ogm_core.whole_files import NO_ROOM
-from ogm_services.recorder.new_file import check_new, new_file
+from ogm_services.recorder.new_file import FLAG, check_new, new_file
 from ogm_services.recorder.recorder import Recorder
+from ogm_services.results.written import written
 from ogm_services.ros2.map_fetch import MapFetch
 from ogm_services.runtime.progress import progress_line
 from ogm_services.settings.settings import Settings
@@ -43,13 +44,13 @@ def run_record(settings: Settings, out: Path) -> None:
     map_name = settings.network.map_name
     with ExitStack() as opening:
         config = replace(settings.network.for_client(), connect_timeout=math.inf)
-        session = opening.enter_context(open_session(config))
-        file = opening.enter_context(new_file(out))
         try:
-            writer = McapWriter(file)
-            writer.flush()
-        except OSError as error:
-            raise _ended(out, "nothing", error) from error
+            session = opening.enter_context(open_session(config))
+        except KeyboardInterrupt:
+            typer.echo(f"{out} is not made: neither a mapper nor a router was there")
+            raise
+        file = opening.enter_context(new_file(out))
+        writer = _begun(out, file)
         recorder = Recorder(session, settings, writer)
         try:
             with recorder:
@@ -66,7 +67,23 @@ def run_record(settings: Settings, out: Path) -> None:
                 failure = error
         if failure is not None:
             raise _ended(out, said, failure) from failure
-    typer.echo(f"{out}: {said}")
+    typer.echo(f"{out}: {said}{'' if recorder.sink.robots else _nobody(map_name)}")
+
+
+def _begun(out: Path, file: BinaryIO) -> McapWriter:
+    """The writer of a new file, whose begin is written; a file that holds nothing is in nobody's way."""
+    try:
+        with written(out, FLAG):
+            writer = McapWriter(file)
+            writer.flush()
+    except (BadInput, DiskFull):
+        out.unlink(missing_ok=True)
+        raise
+    return writer
+
+
+def _nobody(map_name: str) -> str:
+    return f": no robot published to map {map_name}; robots and recorder need the same --map and address"
 
 
 def _watch(recorder: Recorder, file: BinaryIO) -> None:
@@ -96,6 +113,6 @@ def _ended(out: Path, said: str, error: OSError) -> BadInput | DiskFull:
     """What ends a recording before its time."""
     kind = DiskFull if error.errno in NO_ROOM else BadInput
     return kind(
-        f"{out}: cannot be written any more: {error.strerror or error}; {said} came before, and can be read; "
+        f"{out}: cannot be written any more: {error.strerror or error}; at least {said} can be read; "
         f"ogm record --repair {out} makes it a whole file once there is room"
     )

@@ -43,6 +43,8 @@ class MessageSink(Placing):
         self._writer, self._receipts, self._clock = writer, receipts, clock
         self.poses = self.scans = 0
         """How many were written."""
+        self.safe = (0, 0)
+        """How many of either are in the file for certain, whatever becomes of what comes next."""
         self.robots: set[str] = set()
         """Whose they are."""
         self.failure: OSError | None = None
@@ -78,7 +80,8 @@ class MessageSink(Placing):
     def flush(self, now: float | None = None) -> None:
         """Make safe what was written; with `now`, s, only if that is due."""
         if now is None or now - self._flushed >= FLUSH_PERIOD:
-            self._written(self._writer.flush)
+            if self._written(self._writer.flush):
+                self.safe = self.scans, self.poses
             self._flushed = time.monotonic() if now is None else now
 
     def _written(self, write: Callable[[], None]) -> bool:

@@ -55,11 +55,13 @@ class Recorder:
         self._open = ExitStack()
 
     def counted(self) -> str:
-        """How much of how many robots was written, and what is missing, in words."""
+        """How much of how many robots is in the file, and what is missing, in words."""
+        sink = self.sink
+        scans, poses = (sink.scans, sink.poses) if sink.failure is None else sink.safe
         counts = self.receipts.status()
-        names = sorted(self.sink.robots)
+        names = sorted(sink.robots)
         of = ", ".join(names) if 0 < len(names) <= _NAMED else f"{len(names)} robots"
-        parts = [f"{self.sink.scans} scans and {self.sink.poses} poses of {of}"]
+        parts = [f"{scans} scans and {poses} poses of {of}"]
         dropped = counts.scans.dropped
         parts += [f"{count} scans dropped: {reason}" for reason, count in dropped.items() if count]
         parts += [f"{counts.poses.malformed} poses malformed"] if counts.poses.malformed else []

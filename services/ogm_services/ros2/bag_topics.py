@@ -67,7 +67,9 @@ def _only_one(bag: BagFile) -> tuple[BagTopic, ...]:
     if not scans:
         ours = [f"{topic.name} ({topic.type})" for topic in bag.topics if topic.messages]
         others = [f"{topic.name} ({topic.type}, {topic.encoding})" for topic in bag.others if topic.messages]
-        there = f"; there are {listed(ours + others)}" if ours + others else ", and nothing"
+        if not ours + others:
+            raise BadRecording(f"{bag.path}: holds no message")
+        there = f"; there are {listed(ours + others)}"
         clouds = [topic.name for topic in bag.topics if topic.type == cdr.POINT_CLOUD2 and topic.messages]
         instead = f"; --cloud-topic makes scans of {listed(clouds)}" if clouds else ""
         raise BadRecording(f"{bag.path}: holds no LaserScan{there}{instead}")

@@ -83,12 +83,12 @@ class McapReader:
 
     @property
     def doubt(self) -> str:
-        """That it was cut short; "" if it is whole, or was not read to its end."""
+        """That its end is missing; "" if it is whole, or was not read to its end."""
         if self._records is None or self._records.whole:
             return ""
         return (
-            f"it was cut short: {self.position} of {self.size} bytes are read, {self.scans} scans and "
-            f"{self.poses} poses; ogm record --repair makes it whole"
+            f"it was cut short, or is still being recorded: {self.position} of {self.size} bytes are read, "
+            f"{self.scans} scans and {self.poses} poses; ogm record --repair makes it whole"
         )
 
     def __enter__(self) -> Self:
