@@ -46,6 +46,11 @@ from ogm_services.settings.flags import (
     with_flag_groups,
 )
 
+LIVE = "Live: mapper, robots and recorder"
+FILES = "Recordings and stored maps, without network"
+RUNNING = "A running mapper and its map"
+"""What commands are listed under, in `ogm --help`."""
+
 app = typer.Typer(
     name="ogm",
     cls=OneLineErrors,
@@ -54,7 +59,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Live occupancy grid maps from robots' poses and 2D LiDAR scans, over Zenoh and HTTP.",
 )
-app.add_typer(snapshot.app, name="snapshot")
+app.add_typer(snapshot.app, name="snapshot", rich_help_panel=RUNNING)
 
 
 def main() -> None:
@@ -100,13 +105,13 @@ Log = Annotated[
     Path,
     typer.Argument(
         metavar="LOG",
-        help="Recording (.jsonl), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a bag of "
-        "ROS 2 (folder, .db3, .mcap) or ROS 1 (.bag).",
+        help="Recording (.jsonl, .mcap), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a "
+        "bag of ROS 2 (folder, .db3, .mcap) or ROS 1 (.bag).",
     ),
 ]
 
 
-@app.command()
+@app.command(rich_help_panel=LIVE)
 @with_flag_groups
 def demo(
     map_flags: MapFlags,
@@ -140,7 +145,7 @@ def demo(
         run_demo(settings, world=world, start=begin, duration=duration, out=out)
 
 
-@app.command()
+@app.command(rich_help_panel=LIVE)
 @with_flag_groups
 def mapper(
     map_flags: MapFlags,
@@ -164,7 +169,7 @@ def mapper(
         run_mapper(settings, out)
 
 
-@app.command()
+@app.command(rich_help_panel=LIVE)
 @with_flag_groups
 def simulate(
     network: NetworkFlags,
@@ -260,7 +265,7 @@ def _speed(text: str) -> float | None:
     return factor
 
 
-@app.command()
+@app.command(rich_help_panel=LIVE)
 @with_flag_groups
 def replay(
     log: Log,
@@ -288,7 +293,91 @@ def replay(
         run_replay(log, settings, speed=factor, read_as=read_as)
 
 
-@app.command()
+app.command(rich_help_panel=LIVE)(ros2)
+app.command(rich_help_panel=LIVE)(record)
+
+
+@app.command(rich_help_panel=RUNNING)
+@with_flag_groups
+def get(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="map.png, map.yaml (with its PGM), map.json?region=0,0,5,5, ..."),
+    ],
+    network: ClientFlags,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="File to write; - for stdout (default: NAME, here)."
+        ),
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="SNAPSHOT", help="The map as it was saved under this name (ogm snapshot)."),
+    ] = None,
+    url: Url = None,
+    config: ConfigFile = None,
+) -> None:
+    """Fetch a file from a running mapper."""
+    from ogm_services.commands.get import check_asked, fetch
+    from ogm_services.commands.mapper_client import mapper_client
+
+    check_asked(name, at)
+    with mapper_client(url, settings_from(config, network).network) as client:
+        written = fetch(client, name, out, sys.stdout.buffer, at)
+    if out is None:
+        typer.echo(" ".join(map(str, written)))
+
+
+@app.command(rich_help_panel=RUNNING)
+@with_flag_groups
+def status(
+    network: ClientFlags,
+    url: Url = None,
+    config: ConfigFile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Look again every SECONDS (default: 2), until Ctrl-C.")
+    ] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Argument(metavar="SECONDS", help="With --watch: time between two looks.", show_default=False),
+    ] = None,
+) -> None:
+    """Show what a running mapper is doing."""
+    from ogm_client.transport import json_object
+    from ogm_services.commands.mapper_client import address_of, mapper_client
+
+    asked = settings_from(config, network).network
+    if watch:
+        from ogm_services.commands import status_watch
+
+        period = status_watch.check_period(seconds)
+        with running_service():
+            status_watch.watch(
+                lambda: mapper_client(url, asked), address_of(url, asked), period, as_json=as_json
+            )
+        return
+    if seconds is not None:
+        raise BadInput(f"{seconds:g}: a time between two looks needs --watch")
+    with mapper_client(url, asked) as client:
+        if as_json:
+            typer.echo(json.dumps(json_object("status", client.fetch("status")), indent=2))
+            return
+        answer = client.status()
+    from rich.console import Console
+
+    from ogm_services.commands.status import status_tables
+
+    console = Console()
+    for table in status_tables(answer):
+        console.print(table)
+
+
+app.command(rich_help_panel=RUNNING)(erase)
+
+
+@app.command(rich_help_panel=FILES)
 @with_flag_groups
 def build(
     log: Log,
@@ -338,7 +427,7 @@ def build(
         )
 
 
-@app.command()
+@app.command(rich_help_panel=FILES)
 def info(
     log: Log,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
@@ -350,84 +439,7 @@ def info(
         run_info(log, as_json=as_json)
 
 
-@app.command()
-@with_flag_groups
-def get(
-    name: Annotated[
-        str,
-        typer.Argument(metavar="NAME", help="map.png, map.yaml (with its PGM), map.json?region=0,0,5,5, ..."),
-    ],
-    network: ClientFlags,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="File to write; - for stdout (default: NAME, here)."
-        ),
-    ] = None,
-    at: Annotated[
-        str | None,
-        typer.Option(metavar="SNAPSHOT", help="The map as it was saved under this name (ogm snapshot)."),
-    ] = None,
-    url: Url = None,
-    config: ConfigFile = None,
-) -> None:
-    """Fetch a file from a running mapper."""
-    from ogm_services.commands.get import check_asked, fetch
-    from ogm_services.commands.mapper_client import mapper_client
-
-    check_asked(name, at)
-    with mapper_client(url, settings_from(config, network).network) as client:
-        written = fetch(client, name, out, sys.stdout.buffer, at)
-    if out is None:
-        typer.echo(" ".join(map(str, written)))
-
-
-@app.command()
-@with_flag_groups
-def status(
-    network: ClientFlags,
-    url: Url = None,
-    config: ConfigFile = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="Look again every SECONDS (default: 2), until Ctrl-C.")
-    ] = False,
-    seconds: Annotated[
-        float | None,
-        typer.Argument(metavar="SECONDS", help="With --watch: time between two looks.", show_default=False),
-    ] = None,
-) -> None:
-    """Show what a running mapper is doing."""
-    from ogm_client.transport import json_object
-    from ogm_services.commands.mapper_client import address_of, mapper_client
-
-    asked = settings_from(config, network).network
-    if watch:
-        from ogm_services.commands import status_watch
-
-        period = status_watch.check_period(seconds)
-        with running_service():
-            status_watch.watch(
-                lambda: mapper_client(url, asked), address_of(url, asked), period, as_json=as_json
-            )
-        return
-    if seconds is not None:
-        raise BadInput(f"{seconds:g}: a time between two looks needs --watch")
-    with mapper_client(url, asked) as client:
-        if as_json:
-            typer.echo(json.dumps(json_object("status", client.fetch("status")), indent=2))
-            return
-        answer = client.status()
-    from rich.console import Console
-
-    from ogm_services.commands.status import status_tables
-
-    console = Console()
-    for table in status_tables(answer):
-        console.print(table)
-
-
-@app.command()
+@app.command(rich_help_panel=FILES)
 def repair(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a stored map.")],
     out: Annotated[
@@ -439,8 +451,3 @@ def repair(
         with loading():
             from ogm_services.commands.repair import run_repair
         run_repair(folder, out)
-
-
-app.command()(erase)
-app.command()(ros2)
-app.command()(record)

@@ -101,6 +101,15 @@ def test_help_lists_every_flag_and_nothing_else(ogm, command):
     assert {flag for flags in shown for flag in flags if flag} == {*FLAGS[command].split(), "--help", "-h"}
 
 
+def test_help_lists_commands_by_what_they_work_on(ogm):
+    shown = re.findall(r"^(?:╭─ (.+?) ─+╮|│ ([a-z]\w+) )", ogm("--help").stdout, re.MULTILINE)
+    assert " ".join(panel or command for panel, command in shown) == (
+        "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
+        "A running mapper and its map get status erase snapshot "
+        "Recordings and stored maps, without network build info repair"
+    )
+
+
 def test_help_states_defaults_and_units(ogm):
     text = " ".join(ogm("mapper", "--help").stdout.replace("│", " ").split())
     assert "Size of a cell (default: 0.05)" in text
