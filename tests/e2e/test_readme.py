@@ -263,6 +263,16 @@ def test_other_logs_and_worlds(followed):
         assert sum(json.loads(line)["type"] == "scan" for line in again) == 500
 
 
+def test_robots_that_stand_are_walls_in_one_of_two_maps(followed):
+    folder = followed("docs/changing_world.md").folder
+    with np.load(folder / "as-walls" / "map.npz") as walls, np.load(folder / "no-walls" / "map.npz") as none:
+        assert walls["offset"].tolist() == none["offset"].tolist()
+        seen, kept = (grid["log_odds"] > np.log(0.65 / 0.35) for grid in (walls, none))
+    yard = np.s_[20:-20, 20:-20]  # a metre and more from its walls
+    assert np.count_nonzero(seen[yard]) > 30
+    assert not kept[yard].any()
+
+
 def test_settings_file_environment_and_flag(followed):
     description = yaml.safe_load((followed("docs/settings.md").folder / "coarse" / "map.yaml").read_text())
     assert (description["resolution"], description["origin"]) == (0.1, [-12.0, -12.0, 0.0])
