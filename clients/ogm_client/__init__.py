@@ -4,6 +4,7 @@ with MapClient("tcp/127.0.0.1:7447") as mapper:
     mapper.get_map().save_png("map.png")
 """
 
+from ogm_client.async_map_client import AsyncMapClient, AsyncMapFollower
 from ogm_client.errors import (
     BadReply,
     CannotConnect,
@@ -37,6 +38,8 @@ from ogm_core.wire.keys import DEFAULT_ADDRESS
 
 __all__ = [
     "DEFAULT_ADDRESS",
+    "AsyncMapClient",
+    "AsyncMapFollower",
     "BadInput",
     "BadMapFile",
     "BadMessage",

@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
@@ -73,6 +74,7 @@ class MapFollower:
         self._transport = transport
         self._interval = interval
         self._copy = MapCopy(max_bytes)
+        self._listeners: list[Callable[[], None]] = []
         self._news = threading.Condition()
         self._heard: deque[bytes] = deque(maxlen=_MAX_HEARD)
         self._arrived = threading.Event()
@@ -144,24 +146,46 @@ class MapFollower:
             OgmError: it is still away, or as `wait`; ClientError, when the follower is closed.
         """
         with self._news:
-            while self._copy.version == seen:
-                if self._ended is not None:
-                    raise self._ended
-                if self._closed:
-                    raise ClientError("follow: the follower is closed")
-                left = math.inf
-                if self._trouble is not None:
-                    left = self._away_since + patience - time.monotonic()
-                    if left <= 0.0:
-                        raise self._trouble
+            while (left := self.left_to_wait(seen, patience)) is not None:
                 self._news.wait(None if left == math.inf else left)
             return self._copy.grid()
+
+    def left_to_wait(self, seen: Version | None, patience: float) -> float | None:
+        """How much longer to wait for a map that is not the one `seen`, s, inf: for news; None: it is there.
+
+        Raises:
+            OgmError: as `next_grid`.
+        """
+        with self._news:
+            if self._copy.version != seen:
+                return None
+            if self._ended is not None:
+                raise self._ended
+            if self._closed:
+                raise ClientError("follow: the follower is closed")
+            if self._trouble is None:
+                return math.inf
+            left = self._away_since + patience - time.monotonic()
+            if left <= 0.0:
+                raise self._trouble
+            return left
+
+    def add_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called, by whichever thread, when there is news; what ends that."""
+        with self._news:
+            self._listeners.append(listener)
+
+        def end() -> None:
+            with self._news:
+                self._listeners.remove(listener)
+
+        return end
 
     def close(self) -> None:
         """Follow no longer; closing twice does nothing."""
         with self._news:
             self._closed = True
-            self._news.notify_all()
+            self._notify()
         self._arrived.set()
         self._stop_hearing()
         if threading.current_thread() is not self._thread:
@@ -180,6 +204,13 @@ class MapFollower:
         self._arrived.set()
 
     def _run(self) -> None:
+        try:
+            self._follow()
+        finally:
+            if not self._closed and self._ended is None:  # a bug: nobody is to wait for ever
+                self._end(ClientError("follow: the thread that follows the map has failed"))
+
+    def _follow(self) -> None:
         while True:
             payload = self._next_heard()
             if self._closed:
@@ -223,7 +254,7 @@ class MapFollower:
         """Apply what was told; whether nothing is missing now."""
         with self._news:
             taken = self._copy.take(update)
-            self._news.notify_all()
+            self._notify()
         return taken in (Taken.APPLIED, Taken.KNOWN)
 
     def _ask(self) -> None:
@@ -236,7 +267,7 @@ class MapFollower:
             for update in decode_updates(payload):
                 with self._news:
                     taken = self._copy.take(update, asked=True)
-                    self._news.notify_all()
+                    self._notify()
                 if taken is Taken.GAP:
                     break
         except BadMessage as error:
@@ -260,12 +291,18 @@ class MapFollower:
             if self._trouble is None:
                 self._away_since = time.monotonic()
             self._trouble = trouble
-            self._news.notify_all()
+            self._notify()
+
+    def _notify(self) -> None:
+        """Wake up who waits; `_news` is held."""
+        self._news.notify_all()
+        for listener in self._listeners:
+            listener()
 
     def _end(self, error: OgmError) -> None:
         with self._news:
             self._ended = error
-            self._news.notify_all()
+            self._notify()
 
 
 def _rect_around(tiles: list[Place]) -> CellRect | None:

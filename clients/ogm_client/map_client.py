@@ -153,9 +153,7 @@ class MapClient(MapQueries):
         Raises:
             BadParameter: the interval is not a positive number, or the patience is negative or none.
         """
-        _check_interval(interval)
-        if not patience >= 0.0:
-            raise BadParameter(f"patience: a number of seconds, 0 or more, is needed, got {patience}")
+        check_watch(interval, patience)
         return self._watch(interval, patience)
 
     def reset(self) -> None:
@@ -276,6 +274,17 @@ def _transport(
         )
     network = NetworkConfig.of_client(address, zenoh_config)
     return ZenohTransport(network, DEFAULT_MAP if map_name is None else map_name, limits, session)
+
+
+def check_watch(interval: float, patience: float) -> None:
+    """Refuse what `watch` cannot look by.
+
+    Raises:
+        BadParameter: the interval is not a positive number, or the patience is negative or none.
+    """
+    _check_interval(interval)
+    if not patience >= 0.0:
+        raise BadParameter(f"patience: a number of seconds, 0 or more, is needed, got {patience}")
 
 
 def _check_interval(interval: float) -> None:

@@ -15,6 +15,8 @@ import ogm_client
 
 def test_the_public_names_are_these():
     assert sorted(ogm_client.__all__) == [
+        "AsyncMapClient",
+        "AsyncMapFollower",
         "BadInput",
         "BadMapFile",
         "BadMessage",
