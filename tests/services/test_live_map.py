@@ -19,8 +19,11 @@ from ogm_core.simulation.worlds import lab, load_world
 from ogm_core.status import MapInfo
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.types import Pose, Scan
-from ogm_services.mapper.live import live_map as live_map_module
-from ogm_services.mapper.live.live_map import FIGURES_PERIOD, PATIENT_PERIOD, RECENT_SCANS, Identity, LiveMap
+from ogm_services.mapper.live import live_figures as live_figures_module
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_figures import FIGURES_PERIOD, PATIENT_PERIOD
+from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.recent_scans import RECENT_SCANS
 from ogm_services.replies.answer import Unavailable
 
 HERE = Pose(0.25, 0.25, 0.0)
@@ -46,7 +49,7 @@ def live():
 def clock(monkeypatch):
     """The clock that a live map reads: `clock.now`, s."""
     clock = SimpleNamespace(now=1000.0)
-    monkeypatch.setattr(live_map_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(live_figures_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     return clock
 
 
@@ -59,7 +62,7 @@ def counted(monkeypatch):
         revisions.append(snapshot.revision)
         return bounded_figures(snapshot, *others)
 
-    monkeypatch.setattr(live_map_module, "bounded_figures", count)
+    monkeypatch.setattr(live_figures_module, "bounded_figures", count)
     return revisions
 
 
@@ -250,14 +253,14 @@ def test_after_a_reset_nobody_gets_what_another_still_counts(live, clock, in_bac
     counting, go_on = threading.Event(), threading.Event()
     live.integrate(scan(), HERE)
     assert live.info().known_cells == 4
-    count = LiveMap._known_cells_now
+    count = live._figures._known_cells_now
 
-    def slow(live):
+    def slow():
         counting.set()
         assert go_on.wait(10.0)
-        return count(live)
+        return count()
 
-    monkeypatch.setattr(LiveMap, "_known_cells_now", slow)
+    monkeypatch.setattr(live._figures, "_known_cells_now", slow)
     live.integrate(scan(), HERE)
     clock.now += 60.0
     counter = in_background(live.count_known)

@@ -12,7 +12,7 @@ from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import office
 from ogm_core.simulation.worlds import dump_world, lab, load_world
 from ogm_services.mapper.live import history as series_module
-from ogm_services.mapper.live import live_map as live_map_module
+from ogm_services.mapper.live import live_figures as live_figures_module
 from ogm_services.mapper.live import monitor as monitor_module
 from ogm_services.mapper.live.history import Sample
 from ogm_services.mapper.serving import zenoh_routes as zenoh_routes_module
@@ -30,7 +30,7 @@ def looking_often(monkeypatch):
     monkeypatch.setattr(monitor_module, "REST", 0.0)
     monkeypatch.setattr(series_module, "PERIOD", 0.0)
     monkeypatch.setattr(series_module, "REST", 0.0)
-    monkeypatch.setattr(live_map_module, "FIGURES_PERIOD", 0.0)
+    monkeypatch.setattr(live_figures_module, "FIGURES_PERIOD", 0.0)
 
 
 def simulator(session, answer, *, complete=False):

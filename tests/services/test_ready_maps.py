@@ -3,7 +3,7 @@
 import pytest
 from fastapi import Request
 
-from ogm_services.mapper.live.live_map import Identity
+from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer

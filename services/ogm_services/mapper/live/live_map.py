@@ -3,16 +3,11 @@
 import math
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, cast
 
 from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import CellRect, Region
-from ogm_core.quality.bounded import bounded_figures
-from ogm_core.quality.figures import Consistency, quality_figures
-from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
@@ -22,47 +17,16 @@ from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
-from ogm_services.replies.answer import Unavailable
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_figures import Judged, LiveFigures
+from ogm_services.mapper.live.recent_scans import RECENT_BYTES, RecentScans
 from ogm_services.runtime.memory import MemoryUse
 
-RECENT_SCANS = 100
-"""The live consistency is that of so many newest scans."""
-RECENT_BYTES = 64 * MEBIBYTE
-"""What they hold at most: of very long scans there are fewer."""
 LOOK_PERIOD = 0.05
 """How old a figure of the memory that is left may be, s, while much is."""
 _GOOD_PART = 8
 _MUCH = 4 * MEBIBYTE
 """More than this the writer does not wait for after a tick, bytes: some milliseconds."""
-FIGURES_PERIOD = 1.0
-"""Figures of the whole map are computed at most this often, s."""
-PATIENT_PERIOD = 3.0
-"""Who asks for the status counts the known cells only if nobody did for so long, s: it takes a moment."""
-
-_T = TypeVar("_T")
-
-
-class _OutOfTime(Exception):
-    """Figures have taken as long as they may."""
-
-
-class Identity(NamedTuple):
-    """Which map it is, the process that writes it, and how far it has come."""
-
-    epoch: str
-    run: str
-    revision: int
-    stamp: int | None
-
-    @classmethod
-    def of(cls, told: OccupancyGrid | MapSnapshot) -> "Identity":
-        """That of a map, or of a copy."""
-        return cls(told.epoch, told.run, told.revision, told.stamp)
-
-    @property
-    def life(self) -> tuple[str, str]:
-        """Within one, a higher revision is a newer map."""
-        return self.epoch, self.run
 
 
 class _State(NamedTuple):
@@ -80,14 +44,14 @@ class LiveMap:
     held while a kernel runs or tiles that have changed are copied out. After each change the writer replaces
     `_state`, a tuple that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads)
     share the newest snapshot, which nobody changes; `_reading` keeps them from making the same copy twice.
-    Figures have locks of their own, so that who waits for them holds up nobody else.
+    `LiveFigures` have locks of their own, so that who waits for them holds up nobody else.
     """
 
     def __init__(self, grid: OccupancyGrid, memory: MemoryUse | None = None) -> None:
         """`memory`: what others hold beside the map, which gets new tiles only while all of it has room."""
         self._grid = grid
         self._memory = memory
-        self._recent = _RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
+        self._recent = RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
         self._writing = threading.Lock()
         self._reading = threading.Lock()
         self._snapshot: MapSnapshot | None = None
@@ -96,9 +60,7 @@ class LiveMap:
         self._state = self._told()
         self._looked = -math.inf, 0
         """When it was added up what the map may hold, s, and what that is, bytes."""
-        self._known_cells = _Figure()
-        self._quality = _Figure()
-        self._stopping = threading.Event()
+        self._figures = LiveFigures(lambda: self.now, lambda: self.snapshot().known_cells, self._to_judge)
         if memory is not None:
             memory.add("map", lambda: self._state.nbytes)
             memory.add("copies", self._copies_bytes)
@@ -203,10 +165,10 @@ class LiveMap:
         return self._snapshot
 
     def info(self) -> MapInfo:
-        """The status's `map_info`; known cells may be a second old (see `count_known`), or PATIENT_PERIOD."""
+        """The status's `map_info`; known cells may be as old as `LiveFigures.known_cells` says."""
         state = self._state
         return MapInfo(
-            known_cells=self._figure(self._known_cells, self._known_cells_now, patient=True),
+            known_cells=self._figures.known_cells(),
             bytes=state.nbytes,
             width=state.rect.width,
             height=state.rect.height,
@@ -214,73 +176,27 @@ class LiveMap:
         )
 
     def count_known(self) -> None:
-        """Bring the number of known cells up to date, so that nobody who asks for it need wait."""
-        self._figure(self._known_cells, self._known_cells_now)
+        """See `LiveFigures.count_known`."""
+        self._figures.count_known()
 
     def quality(self, world: World | None = None) -> dict[str, Any]:
-        """Quality figures of the map and its newest scans; may be a second old.
+        """See `LiveFigures.quality`."""
+        return self._figures.quality(world)
 
-        `truth` says how well the map agrees with a true `world`, None without one. `judged` says of which
-        share of the map and its scans they are: they cost so much at most (see `bounded_figures`).
-
-        Raises:
-            Unavailable: they were not ready when `stop` was called.
-        """
-        return self._figure(self._quality, lambda: self._bounded_quality(world), world)
+    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
+        """See `LiveFigures.fresh_quality`."""
+        return self._figures.fresh_quality(world, within)
 
     def stop(self) -> None:
         """Nobody waits any more for the figures that are being computed: they may take minutes."""
-        self._stopping.set()
+        self._figures.stop()
 
-    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
-        """The same of this very moment and all of it, even after `stop`, whatever it costs.
-
-        Figures that are not ready `within` so many seconds are None, and named in the list `missing`.
-        """
-        deadline = time.monotonic() + within
-
-        def check_time() -> None:
-            if time.monotonic() >= deadline:
-                raise _OutOfTime
-
-        return self._quality_now(world, check_time)
-
-    def _check_stopping(self) -> None:
-        if self._stopping.is_set():
-            raise Unavailable("the mapper is stopping")
-
-    def _bounded_quality(self, world: World | None) -> dict[str, Any]:
-        snapshot, recent, updates = self._to_judge()
-        figures = bounded_figures(snapshot, self._grid.settings, recent, world, self._check_stopping)
-        truth, judged = figures.pop("truth"), figures.pop("judged")
-        counts = {"scans": snapshot.scans, "cell_updates": updates}
-        return {**figures, **counts, "judged": judged, "truth": truth}
-
-    def _to_judge(self) -> tuple[MapSnapshot, list[PlacedScan], int]:
-        """The map of this moment, its newest scans, and how many updates its cells have had."""
+    def _to_judge(self) -> Judged:
         with self._reading:
             room = self._room()
             with self._writing:
-                return self._current_snapshot(room), list(self._recent), self._grid.cell_updates
-
-    def _quality_now(self, world: World | None, between: Callable[[], None]) -> dict[str, Any]:
-        snapshot, recent, updates = self._to_judge()
-        consistency = Consistency(snapshot, self._grid.settings)
-        figures = quality_figures(snapshot, consistency, updates)
-        figures["truth"] = None
-        missing = ["consistency"] if world is None else ["consistency", "truth"]
-        try:
-            if world is not None:
-                between()
-                figures["truth"] = truth_figures(snapshot, world, between)
-                missing.remove("truth")
-            for placed in recent:
-                consistency.add(placed, between)
-            figures["consistency"] = consistency.figures()
-            missing.remove("consistency")
-        except _OutOfTime:
-            figures["missing"] = missing
-        return figures
+                snapshot = self._current_snapshot(room)
+                return Judged(snapshot, self._grid.settings, list(self._recent), self._grid.cell_updates)
 
     def _allowed(self, memory: MemoryUse) -> int:
         """Bytes that the map may hold now, beside all else and the copy of it that readers get.
@@ -349,73 +265,3 @@ class LiveMap:
             if self._memory is not None:
                 self._memory.make_room()
         return known
-
-    def _known_cells_now(self) -> int:
-        return self.snapshot().known_cells
-
-    def _figure(
-        self,
-        cached: "_Figure",
-        compute: Callable[[], _T],
-        world: World | None = None,
-        *,
-        patient: bool = False,
-    ) -> _T:
-        """The cached value, computed anew if the map or the world is another and it is FIGURES_PERIOD old.
-
-        Who is `patient` takes a value of up to PATIENT_PERIOD, and does not wait while another one computes
-        it, unless all that is known is of before a reset.
-        """
-        known, value = cached.identity, cached.value
-        at_once = patient and known is not None and known.epoch == self.now.epoch
-        if not cached.lock.acquire(blocking=not at_once):
-            return cast(_T, value)
-        try:
-            identity = self.now
-            new_life = cached.identity is None or cached.identity.epoch != identity.epoch
-            changed = identity != cached.identity or world is not cached.world
-            old = time.monotonic() - cached.time >= (PATIENT_PERIOD if patient else FIGURES_PERIOD)
-            if new_life or (old and changed):
-                cached.value = compute()
-                cached.identity, cached.world, cached.time = identity, world, time.monotonic()
-            return cast(_T, cached.value)
-        finally:
-            cached.lock.release()
-
-
-class _RecentScans:
-    """The newest scans that are in the map, as far as they take no more than their share, bytes."""
-
-    def __init__(self, share: int) -> None:
-        self.share = share
-        self.nbytes = 0
-        self._scans: deque[PlacedScan] = deque()
-
-    def __iter__(self) -> Iterator[PlacedScan]:
-        return iter(self._scans)
-
-    def append(self, placed: PlacedScan) -> None:
-        self._scans.append(placed)
-        self.nbytes += _bytes_of(placed)
-        while len(self._scans) > RECENT_SCANS or self.nbytes > self.share:
-            self.nbytes -= _bytes_of(self._scans.popleft())
-
-    def clear(self) -> None:
-        self._scans.clear()
-        self.nbytes = 0
-
-
-def _bytes_of(placed: PlacedScan) -> int:
-    sweep = placed.sweep
-    return placed.scan.nbytes + (0 if sweep is None else sweep.beams.nbytes)
-
-
-class _Figure:
-    """A value, the map and the world that it is of, and when it was computed."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.value: Any = None
-        self.identity: Identity | None = None
-        self.world: World | None = None
-        self.time = 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ogm_core.units import MEBIBYTE
-from ogm_services.mapper.live.live_map import Identity
+from ogm_services.mapper.live.identity import Identity
 from ogm_services.replies.answer import Answer
 
 CACHE_BYTES = 64 * MEBIBYTE

@@ -13,7 +13,8 @@ from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import Status, StoreInfo
-from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
 from ogm_services.mapper.serving.kept_status import KeptStatus

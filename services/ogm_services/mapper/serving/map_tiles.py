@@ -23,7 +23,8 @@ from ogm_core.tiles.pyramid import (
     revision_of,
 )
 from ogm_core.tiles.view import TileView
-from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
 from ogm_services.mapper.serving.map_formats import check_names
 from ogm_services.replies.answer import Answer, Parameters, UnknownName

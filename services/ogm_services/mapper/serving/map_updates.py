@@ -11,7 +11,8 @@ from ogm_core.tiles.store import tile_bytes
 from ogm_core.tiles.view import TileView
 from ogm_core.wire.map_changes import updates_of
 from ogm_core.wire.map_update import MAX_CELL_BYTES, MEDIA_TYPE, encode_update
-from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.map_formats import UPDATES_FORMAT, check_names

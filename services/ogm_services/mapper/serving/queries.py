@@ -12,7 +12,8 @@ from ogm_core.lattice import CellRect, Region
 from ogm_core.queries.distances import around
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.keys import Query
-from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from ogm_services.mapper.live.live_map import Identity
+from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.replies.answer import Answer, Changed

@@ -13,7 +13,8 @@ from ogm_core.tiles.store import tile_bytes
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.map_changes import updates_of
 from ogm_core.wire.map_update import MEDIA_TYPE, encode_update
-from ogm_services.mapper.live.live_map import Identity, LiveMap
+from ogm_services.mapper.live.identity import Identity
+from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.map_updates import bytes_to_tell, tiles_of
 from ogm_services.replies.answer import Busy
 from ogm_services.replies.in_flight import InFlight
