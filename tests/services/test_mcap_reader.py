@@ -1,6 +1,8 @@
 """MCAP recordings as logs: the same messages as in JSON lines, and the same map; what is wrong is told."""
 
 import json
+import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,6 +102,26 @@ def test_what_is_malformed_is_counted_and_passed_over(tmp_path):
     assert "robot 'no name'" in reader.complaints[2]
 
 
+def test_of_a_chunk_that_was_cut_what_can_be_read_is_read_and_told(tmp_path):
+    """All is in one chunk, as `ogm simulate` writes it: no byte of it is whole, and yet there are scans."""
+    path = tmp_path / "cut.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        for n in range(300):
+            ranges = np.random.default_rng(n).uniform(1.0, 5.0, 200).astype(np.float32)
+            writer.scan("r", "s", replace(scan(n, seq=n, run="a"), ranges=ranges), n)
+        writer.finish()
+    os.truncate(path, path.stat().st_size // 2)
+    reader, found = read(path)
+    assert 0 < len(found) < 300
+    size = path.stat().st_size
+    told = (
+        f"{reader.position} of {size} bytes are whole, of the others is read what can be, {len(found)} scans"
+    )
+    assert told in reader.doubt
+    assert reader.position < 100
+
+
 def test_one_that_was_cut_is_read_as_far_as_it_goes_and_that_is_told(tmp_path, capsys):
     whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
     with whole.open("wb") as file:
@@ -112,10 +134,9 @@ def test_one_that_was_cut_is_read_as_far_as_it_goes_and_that_is_told(tmp_path, c
     reader, found = read(cut)
     count = len(found) // 2
     assert 35 < count < 50
-    bytes_read = f"{reader.position} of {cut.stat().st_size} bytes are read"
-    assert reader.doubt.startswith(
-        f"it was cut short, or is still being recorded: {bytes_read}, {count} scans and {count} poses"
-    )
+    bytes_whole = f"{reader.position} of {cut.stat().st_size} bytes are whole"
+    told = f"{bytes_whole}, of the others is read what can be, {count} scans and {count} poses"
+    assert reader.doubt.startswith(f"it was cut short, or is still being recorded: {told}")
     run_build(cut, tmp_path / "map", Settings(), hold_out=None)
     said = capsys.readouterr()
     assert f"{count} scans read, {count} integrated" in said.out

@@ -42,7 +42,7 @@ def repair_recording(path: Path) -> str:
     left_out = [f"{found.damaged} damaged chunks are left out"] if found.damaged else []
     if found.undescribed:
         left_out.append(f"{found.undescribed} messages whose description is damaged are left out")
-    left_out += [f"its last {found.unread} bytes were cut"] if found.unread else []
+    left_out += [f"of its last {found.unread} bytes is kept what can be read"] if found.unread else []
     return "; ".join([f"{path}: is whole again, with {_kept(found)}, the last of {until}", *left_out])
 
 

@@ -86,9 +86,10 @@ class McapReader:
         """That its end is missing; "" if it is whole, or was not read to its end."""
         if self._records is None or self._records.whole:
             return ""
+        others = ", of the others is read what can be" if self.position < self.size else ""
         return (
-            f"it was cut short, or is still being recorded: {self.position} of {self.size} bytes are read, "
-            f"{self.scans} scans and {self.poses} poses; ogm record --repair makes it whole"
+            f"it was cut short, or is still being recorded: {self.position} of {self.size} bytes are "
+            f"whole{others}, {self.scans} scans and {self.poses} poses; ogm record --repair makes it whole"
         )
 
     def __enter__(self) -> Self:
