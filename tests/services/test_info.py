@@ -43,6 +43,21 @@ def test_what_is_missing_for_a_map_is_said(tmp_path, capsys):
     assert "say which to map by --scan-topic: /rear (1), /scan (5)" in capsys.readouterr().out
 
 
+def test_what_a_map_would_suffer_from_is_noted(tmp_path, capsys):
+    """Before one is made: poses that drift, and lines that are no messages."""
+    bag = write_bag(tmp_path / "bag", [mount(), *drive()])
+    run_info(bag, as_json=True)
+    (drifting,) = json.loads(capsys.readouterr().out)["notes"]
+    assert drifting.startswith("robot1: there is no map frame: its poses are odometry")
+    log = tmp_path / "log.jsonl"
+    write_jsonl(log, [RecordedPose("r1", PoseStamped(7, Pose(0.0, 0.0, 0.0)))])
+    log.write_text(log.read_text() + "[]\n")
+    run_info(log, as_json=False)
+    shown = capsys.readouterr().out
+    assert "\nnote: 1 malformed lines (" in shown
+    assert "\nmissing for a map: holds no scan, only 1 poses" in shown
+
+
 def test_channels_that_are_not_of_ros_are_listed_too(tmp_path, capsys):
     """With how they are written, as what a map can be made of is listed without."""
     names = mcap.schema(1, "sensor_msgs/msg/LaserScan") + mcap.channel(1, 1, "/scan")
@@ -75,7 +90,8 @@ def test_a_bag_of_many_robots_fits_a_screen(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert "  and those of more namespaces (--json has all)" in lines
     assert len(lines) < 100
-    assert max(map(len, lines[:-1])) < 250
+    assert max(len(line) for line in lines[:-1] if not line.startswith("note: ")) < 250
+    assert sum(line.startswith("note: ") for line in lines) < 30
 
 
 def test_a_recording(tmp_path, capsys):

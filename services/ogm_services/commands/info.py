@@ -11,10 +11,11 @@ import typer
 from ogm_core.errors import BadRecording, cut, printable
 from ogm_core.logs.recorded import RecordedScan
 from ogm_core.ros2.bag_files import ENCODINGS, BagFile, is_bag
-from ogm_services.commands.log_readers import AS_IT_SAYS, log_reader
+from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, log_reader
 from ogm_services.commands.recording_info import of_recording
+from ogm_services.ros2.bag_reader import BagReader
 from ogm_services.ros2.bag_topics import Edge, edges_in
-from ogm_services.ros2.mcap_reader import holds_recording
+from ogm_services.ros2.mcap_reader import McapReader, holds_recording
 from ogm_services.settings.settings import Settings
 
 _ROWS = 24
@@ -35,7 +36,9 @@ def run_info(file: Path, *, as_json: bool) -> None:
         found = of_recording(file)
     else:
         found = _of_bag(file) if is_bag(file) else {"file": str(file), "kind": "log"}
-    found |= _as_log(file, needed=not (recording or is_bag(file)))
+    read = _as_log(file, needed=not (recording or is_bag(file)))
+    notes = dict.fromkeys([*found.get("notes", ()), *read["notes"]])
+    found |= read | {"notes": list(notes)}
     typer.echo(json.dumps(found, indent=2) if as_json else "\n".join(_lines(found)))
 
 
@@ -60,9 +63,9 @@ def _as_log(file: Path, *, needed: bool) -> dict[str, Any]:
     counts: Counter[str] = Counter()
     stamps: list[int] = []
     missing = None
-    read = log_reader(file, AS_IT_SAYS, Settings())
+    reader = log_reader(file, AS_IT_SAYS, Settings())()
     try:
-        with read() as messages:
+        with reader as messages:
             for each in messages:
                 source = each.sensor if isinstance(each, RecordedScan) else "pose"
                 counts[f"{each.robot}/{source}"] += 1
@@ -72,7 +75,19 @@ def _as_log(file: Path, *, needed: bool) -> dict[str, Any]:
             raise
         missing = str(error).removeprefix(f"{file}: ")
     span = {"from_ns": stamps[0], "to_ns": stamps[1]} if stamps else None
-    return {"messages": dict(sorted(counts.items())), "stamps": span, "missing": missing}
+    counted = dict(sorted(counts.items()))
+    return {"messages": counted, "stamps": span, "notes": _notes(reader), "missing": missing}
+
+
+def _notes(reader: LogReader) -> list[str]:
+    """What a map of the log would suffer from, and what of it would not be read."""
+    if isinstance(reader, BagReader):
+        notes = reader.doubts
+    else:  # of a recording it is told already, and that may have grown since
+        notes = [reader.doubt] if reader.doubt and not isinstance(reader, McapReader) else []
+    if reader.malformed:
+        notes.append(f"{reader.malformed} malformed {reader.unit} ({'; '.join(reader.complaints)})")
+    return [*notes, f"not read: {reader.not_read}"] if reader.not_read else notes
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
@@ -99,7 +114,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
     if found["messages"]:
         lines.append("for a map:")
         lines += _cut([f"  {count:>8}  {_shown(source)}" for source, count in found["messages"].items()])
-    lines += [f"note: {note}" for note in found.get("notes", ())]
+    lines += _cut([f"note: {note}" for note in found["notes"]])
     return [*lines, f"missing for a map: {found['missing'] or 'nothing'}"]
 
 

@@ -92,7 +92,12 @@ class BagReader:
     @property
     def doubt(self) -> str:
         """What should be known of how it was read; "" if nothing."""
-        return "; ".join([*self._bag.notes, *self._told.complaints.lines()])
+        return "; ".join(self.doubts)
+
+    @property
+    def doubts(self) -> list[str]:
+        """The same, one by one."""
+        return [*self._bag.notes, *self._told.complaints.lines()]
 
     def __enter__(self) -> Self:
         with ExitStack() as opening:
