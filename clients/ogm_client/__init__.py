@@ -14,7 +14,8 @@ from ogm_client.errors import (
     NobodyAnswered,
     NotHeard,
 )
-from ogm_client.follower import Change, MapFollower
+from ogm_client.follower import MapFollower
+from ogm_client.map_change import Change
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_layer import MapLayer

@@ -5,20 +5,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ogm_client.errors import BadReply, CannotConnect, ClientError, MapperError, NobodyAnswered
-from ogm_client.map_copy import MapCopy, Place, Taken
+from ogm_client.map_change import Change, change_since
+from ogm_client.map_copy import MapCopy, Taken
 from ogm_client.map_grid import MapGrid
 from ogm_client.transport import Transport, Version
 from ogm_core.errors import BadMessage, OgmError
-from ogm_core.lattice import CellRect, Region
-from ogm_core.tiles.store import TILE
 from ogm_core.wire.map_update import MapUpdate, decode_updates
 
 SILENCE: Final = 3.0
@@ -28,28 +23,6 @@ _MAX_HEARD: Final = 16
 _CLOSING: Final = 1.0
 """How long `close` waits for the thread, s: it may be waiting for an answer."""
 _UNAVAILABLE: Final = 503
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Change:
-    """What a follower's map is now, and what of it has changed."""
-
-    epoch: str
-    run: str
-    revision: int
-    region: Region | None
-    """What holds every changed tile, m, rounded outward to whole tiles; None: no cell has changed."""
-    tiles: NDArray[np.int64]
-    """Which tiles of 64 x 64 cells have changed, shape (n, 2): (tx, ty) begins at cell (64 tx, 64 ty)."""
-    whole: bool
-    """Whether nothing of what was seen before holds any more: all tiles are among the changed ones."""
-    reset: bool
-    """Whether another life of the map was seen before: it was reset, restored, or its mapper started anew."""
-
-    @property
-    def version(self) -> Version:
-        """Which map it is: what the next `wait` is told."""
-        return Version(self.epoch, self.run, self.revision)
 
 
 class MapFollower:
@@ -137,7 +110,7 @@ class MapFollower:
                 if self._closed or left <= 0.0:
                     return None
                 self._news.wait(None if left == math.inf else left)
-            return self._change_since(seen)
+            return change_since(self._copy, seen)
 
     def next_grid(self, seen: Version | None, patience: float) -> MapGrid:
         """Wait for a map that is not the one `seen`; for a mapper that is away so many seconds.
@@ -275,17 +248,6 @@ class MapFollower:
         if taken not in (Taken.APPLIED, Taken.KNOWN):
             raise BadReply("map.tiles: what was answered is not what was asked for")
 
-    def _change_since(self, seen: Version | None) -> Change:
-        mine, newest = self._copy.version, self._copy.newest
-        assert mine is not None
-        assert newest is not None
-        other_life = seen is None or seen[:2] != mine[:2]
-        changed = sorted(self._copy.changed_since(seen))
-        rect = _rect_around(changed)
-        region = None if rect is None else newest.lattice.region_of(rect)
-        tiles = np.array(changed, np.int64).reshape(-1, 2)
-        return Change(*mine, region, tiles, whole=other_life, reset=seen is not None and other_life)
-
     def _note_trouble(self, trouble: OgmError | None) -> None:
         with self._news:
             if self._trouble is None:
@@ -303,12 +265,3 @@ class MapFollower:
         with self._news:
             self._ended = error
             self._notify()
-
-
-def _rect_around(tiles: list[Place]) -> CellRect | None:
-    """The cells of the smallest rectangle that holds some tiles; None of no tile."""
-    if not tiles:
-        return None
-    left, bottom = (min(tile[axis] for tile in tiles) for axis in (0, 1))
-    right, top = (max(tile[axis] for tile in tiles) + 1 for axis in (0, 1))
-    return CellRect(left * TILE, bottom * TILE, (right - left) * TILE, (top - bottom) * TILE)

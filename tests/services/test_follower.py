@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ogm_client import ClientError, MapClient, NobodyAnswered
+from ogm_client.map_copy import MapCopy
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.cells.log_odds import PLANE
 from ogm_services.mapper.serving import update_publisher
@@ -302,6 +303,22 @@ def test_a_client_that_is_closed_ends_its_followers(start_mapper, over):
         with pytest.raises(ClientError):
             follower.wait(after=seen, timeout=PATIENCE)
         follower.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_bug_of_ours_keeps_nobody_waiting(start_mapper, monkeypatch):
+    def fail(self, update, *, asked=False):
+        raise ZeroDivisionError
+
+    with (
+        start_mapper(map={"resolution": 0.5}) as mapper,
+        client_of(mapper, "http") as client,
+        client.follow(interval=0.02) as follower,
+    ):
+        monkeypatch.setattr(MapCopy, "take", fail)
+        with pytest.raises(ClientError, match="the thread that follows the map has failed"):
+            follower.wait(after=follower.version, timeout=PATIENCE)
+        assert not follower.connected
 
 
 @OVER
