@@ -146,3 +146,18 @@ def test_who_records_another_map_is_told_that_nothing_came(ogm, endpoint):
         "robots and recorder need the same --map and address",
     )
     assert ogm.run("build", "a.mcap", "--out", "a").complaint(2) == "ogm: a.mcap: holds no message\n"
+
+
+@pytest.mark.usefixtures("listener")
+def test_a_file_that_is_removed_ends_it_and_one_that_is_moved_does_not(ogm, endpoint, eventually):
+    command = recorder(ogm, endpoint)
+    (ogm.folder / "live.mcap").rename(ogm.folder / "moved.mcap")
+    assert ogm.run("simulate", "--connect", endpoint, "--scans", 3).code == 0
+    eventually(lambda: has(ogm.folder / "moved.mcap", 1, 3))
+    (ogm.folder / "moved.mcap").unlink()
+    ended = command.wait()
+    assert ended.code == 1
+    assert ended.warnings == (
+        "ogm: live.mcap: was removed while it was written, and 3 scans and 3 poses of robot1 with it; "
+        "record anew\n"
+    )

@@ -15,7 +15,7 @@ import zenoh
 
 from ogm_client.errors import ClientError, NobodyAnswered
 from ogm_client.session import open_session
-from ogm_core.errors import BadInput, DiskFull
+from ogm_core.errors import BadInput, DiskFull, OgmError
 from ogm_core.ros2.mcap_recording import MAP_FRAME, McapWriter, check_writable
 from ogm_core.whole_files import NO_ROOM
 from ogm_services.recorder.new_file import FLAG, check_new, new_file
@@ -31,6 +31,10 @@ LOOK_PERIOD = 0.25
 log = logging.getLogger(__name__)
 
 
+class RecordingRemoved(OgmError):
+    """The file has no name any more, so that nobody can read what is recorded."""
+
+
 def run_record(settings: Settings, out: Path) -> None:
     """Record until KeyboardInterrupt; then add the map, if a mapper serves one, and finish the file.
 
@@ -38,6 +42,7 @@ def run_record(settings: Settings, out: Path) -> None:
         BadInput: `out` is there already, or cannot be written; or an extra is missing.
         CannotConnect: there is no such host.
         DiskFull: there is no more room; what was written can be read.
+        RecordingRemoved: somebody has removed the file.
     """
     check_writable()
     check_new(out)
@@ -55,7 +60,7 @@ def run_record(settings: Settings, out: Path) -> None:
         try:
             with recorder:
                 typer.echo(f"recording map {map_name} into {out}: Ctrl-C ends it")
-                _watch(recorder, file)
+                _watch(recorder, file, out)
         except KeyboardInterrupt:
             pass
         failure, said = recorder.sink.failure, recorder.counted()
@@ -86,12 +91,18 @@ def _nobody(map_name: str) -> str:
     return f": no robot published to map {map_name}; robots and recorder need the same --map and address"
 
 
-def _watch(recorder: Recorder, file: BinaryIO) -> None:
-    """Show how it goes, until a message cannot be written."""
+def _watch(recorder: Recorder, file: BinaryIO, out: Path) -> None:
+    """Show how it goes, until a message cannot be written, or nobody could read it."""
+    linked = os.fstat(file.fileno()).st_nlink > 0  # some file systems count no names
     # Signals may be handed to any thread; Python sees to them when the main thread wakes up.
     with progress_line() as show:
         while not threading.Event().wait(LOOK_PERIOD) and recorder.sink.failure is None:
-            show(f"{recorder.counted()}, {os.fstat(file.fileno()).st_size / 1e6:.1f} MB")
+            status = os.fstat(file.fileno())
+            if linked and not status.st_nlink:
+                raise RecordingRemoved(
+                    f"{out}: was removed while it was written, and {recorder.counted()} with it; record anew"
+                )
+            show(f"{recorder.counted()}, {status.st_size / 1e6:.1f} MB")
 
 
 def _add_map(writer: McapWriter, session: zenoh.Session, map_name: str) -> None:
