@@ -154,6 +154,12 @@ class ScanPlacer:
             self._receipts.located(name, scan.stamp, scan.pose)
             self._placement.place(name, robot, sensor, scan, now)
             return
+        self._add_without_pose(name, robot, source, sensor, scan, now)
+
+    def _add_without_pose(
+        self, name: str, robot: Robot, source: Source, sensor: str, scan: Scan, now: float
+    ) -> None:
+        """Take a new scan that does not say where it was taken: its robot's poses have to."""
         owner = self._replaced_by(robot, source, scan.run)
         if owner is not None:
             self._number(source, scan)
