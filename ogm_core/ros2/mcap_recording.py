@@ -7,6 +7,7 @@
 import re
 from typing import BinaryIO
 
+from ogm_core.errors import BadRecording
 from ogm_core.ros2 import cdr, topics
 from ogm_core.ros2.mcap_package import mcap_package
 from ogm_core.ros2.recording_messages import (
@@ -27,8 +28,14 @@ LIBRARY = "zenoh-ogm"
 ROBOT, SENSOR = "robot", "sensor"
 """Metadata of a channel of ours: whose messages it carries; names of ROS 2 cannot hold all of ours."""
 MAP_FRAME = "map"
+MOST_CHANNELS = 65_000
+"""So many channels a recording has at most, and a few more for viewers: MCAP numbers them with 16 bits."""
 _HASHES = {**topics.TYPE_HASHES, **TYPE_HASHES}
 _NOT_IN_TOPICS = re.compile(r"[^A-Za-z0-9_]")
+
+
+class NoChannelLeft(BadRecording):
+    """A recording has messages of as many robots and sensors as one can have: of others it takes none."""
 
 
 def check_writable() -> None:
@@ -49,6 +56,7 @@ class McapWriter:
 
     Raises:
         MissingExtra: mcap or rosbags is not installed.
+        NoChannelLeft: a message is of one robot or sensor too many; nothing of it is written.
         OSError: the file cannot be written.
     """
 
@@ -101,6 +109,11 @@ class McapWriter:
 
     def _channel(self, kind: str, robot: str, sensor: str) -> int:
         """Declare what messages of a kind, of a robot and maybe a sensor, are written on."""
+        if kind in TYPE_HASHES and len(self._channels) >= MOST_CHANNELS:
+            raise NoChannelLeft(
+                f"{robot}/{sensor or 'pose'} has no place in the recording, which has {MOST_CHANNELS} "
+                "channels: start a new one; do robots change their names?"
+            )
         schema = self._schemas.get(kind)
         if schema is None:
             schema = self._writer.register_schema(kind, "ros2msg", definition(kind).encode())

@@ -14,6 +14,7 @@ from ogm_client import RobotPublisher
 from ogm_core.errors import BadInput, BadRecording, DiskFull
 from ogm_core.logs.recorded import RecordedPose, RecordedScan
 from ogm_core.placing.receipts import Receipts
+from ogm_core.ros2 import mcap_recording
 from ogm_core.ros2.mcap_reading import McapRecords
 from ogm_core.ros2.mcap_recording import McapWriter
 from ogm_core.types import Pose, PoseStamped, Scan
@@ -304,6 +305,27 @@ def test_damaged_chunks_are_left_out_and_counted(tmp_path):
     after = read(path)
     assert len(after) == 38
     assert [each for each in before if each in after] == after
+
+
+def test_robots_that_have_no_channel_left_are_refused_and_the_others_go_on(tmp_path, monkeypatch, caplog):
+    """MCAP numbers channels with 16 bits."""
+    monkeypatch.setattr(mcap_recording, "MOST_CHANNELS", 5)  # a pose, tf, a scan and its twin, a pose
+    receipts = Receipts()
+    with (tmp_path / "a.mcap").open("xb") as file:
+        writer = McapWriter(file)
+        sink = MessageSink(writer, receipts, lambda: 7)
+        for n in range(2):
+            sink.add_pose("one", pose(n, n))
+            sink.add_scan("one", "s", scan(n, n))
+            sink.add_pose("two", pose(n, n))
+            sink.add_scan("two", "s", scan(n, n))
+            sink.add_pose("three", pose(n, n))
+        writer.finish()
+    assert (sink.scans, sink.poses, sink.robots, sink.failure) == (2, 4, {"one", "two"}, None)
+    counts = receipts.status()
+    assert (counts.scans.dropped["refused"], counts.poses.refused) == (2, 2)
+    assert [each[0] for each in read(tmp_path / "a.mcap")] == ["one", "one", "two"] * 2
+    assert "two/s has no place in the recording, which has 5 channels" in caplog.text
 
 
 @pytest.mark.parametrize("finished", [False, True])

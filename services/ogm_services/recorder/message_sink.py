@@ -1,16 +1,22 @@
 """Message sink: takes what a mapper would take, in that order, and writes it into a recording."""
 
+import logging
 import math
 import time
 from collections.abc import Callable
 
 from ogm_core.placing.receipts import Receipts
-from ogm_core.ros2.mcap_recording import McapWriter
+from ogm_core.ros2.mcap_recording import McapWriter, NoChannelLeft
 from ogm_core.types import PoseStamped, Scan
 from ogm_services.mapper.intake.handing_on import Placing
+from ogm_services.runtime.limited_log import LimitedLog
 
 FLUSH_PERIOD = 0.5
 """How often what was written is made safe from a kill, s."""
+RECORDING = "recording"
+"""Source of complaints about robots that have no place in it, be they ever so many."""
+
+log = logging.getLogger(__name__)
 
 
 class NothingDecided:
@@ -50,16 +56,29 @@ class MessageSink(Placing):
         self.failure: OSError | None = None
         """What has kept one from being written; after that none is."""
         self._flushed = -math.inf
+        self._complaints = LimitedLog(log)
 
     def add_pose(self, name: str, message: PoseStamped, now: float = 0.0) -> None:
         """Write a robot's pose."""
-        if self._written(lambda: self._writer.pose(name, message, self._clock())):
+        try:
+            written = self._written(lambda: self._writer.pose(name, message, self._clock()))
+        except NoChannelLeft as error:
+            self._receipts.pose_noted("refused")
+            self._complaints.of_kind(RECORDING, "full", str(error))
+            return
+        if written:
             self.poses += 1
             self.robots.add(name)
 
     def add_scan(self, name: str, sensor: str, scan: Scan, now: float = 0.0) -> None:
         """Write a scan."""
-        if self._written(lambda: self._writer.scan(name, sensor, scan, self._clock())):
+        try:
+            written = self._written(lambda: self._writer.scan(name, sensor, scan, self._clock()))
+        except NoChannelLeft as error:
+            self._receipts.scan_dropped(name, sensor, "refused")
+            self._complaints.of_kind(RECORDING, "full", str(error))
+            return
+        if written:
             self.scans += 1
             self.robots.add(name)
             self._receipts.scan_integrated(name, sensor)

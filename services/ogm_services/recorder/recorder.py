@@ -64,7 +64,11 @@ class Recorder:
         parts = [f"{scans} scans and {poses} poses of {of}"]
         dropped = counts.scans.dropped
         parts += [f"{count} scans dropped: {reason}" for reason, count in dropped.items() if count]
-        parts += [f"{counts.poses.malformed} poses malformed"] if counts.poses.malformed else []
+        parts += [
+            f"{count} poses {what}"
+            for what, count in (("malformed", counts.poses.malformed), ("refused", counts.poses.refused))
+            if count
+        ]
         parts += [
             f"{count} {what} lost"
             for what, count in (("scans", counts.scans.lost), ("poses", counts.poses.lost))
