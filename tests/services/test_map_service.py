@@ -185,6 +185,19 @@ def test_who_still_waits_when_the_service_ends_is_told(monkeypatch):
     assert fetch.fetched == 1
 
 
+def test_after_a_bug_the_next_request_is_answered(eventually, caplog):
+    fetch, first, second = Fetch([[100]]), Asked(), Asked()
+    fetch.wrong = ZeroDivisionError("a bug")
+    with closing(MapService(NAME, [], fetch)) as service:
+        service._take(first)
+        assert eventually(lambda: first.told) == ["the map could not be given: the gateway's log says why"]
+        fetch.wrong = None
+        service._take(second)
+        assert eventually(lambda: second.told) == [[[100]]]
+    assert "a request for the map failed" in caplog.text
+    assert "ZeroDivisionError: a bug" in caplog.text
+
+
 def test_a_service_that_another_node_offers_is_not_offered_twice(network, eventually, caplog):
     source, robot = network
     robot.serves(NAME)

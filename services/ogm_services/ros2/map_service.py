@@ -61,8 +61,7 @@ class MapService:
             while not self._waiting.empty():
                 other = self._waiting.get()
                 if other is None:  # who asked is not to wait for what will not come
-                    for request in asked:
-                        request.refuse("the map is offered no more")
+                    _refuse(asked, "the map is offered no more")
                     return
                 asked.append(other)
             self._answer(asked)
@@ -73,8 +72,16 @@ class MapService:
             payload = encode_occupancy_grid(self._fetch.trinary() or self._fetch.without_cells())
         except ClientError as error:
             self._complaints.of_kind("get_map", error.slug, str(error))
-            for request in asked:
-                request.refuse(str(error))
+            _refuse(asked, str(error))
+        except Exception:  # noqa: BLE001 - it is logged, with its traceback
+            # A bug of ours, or no memory: who asks later is answered all the same.
+            self._complaints.failure("a request for the map")
+            _refuse(asked, "the map could not be given: the gateway's log says why")
         else:
             for request in asked:
                 request.answer(payload)
+
+
+def _refuse(asked: Iterable[Request], why: str) -> None:
+    for request in asked:
+        request.refuse(why)
