@@ -14,7 +14,7 @@ from ogm_core.logs.recorded import Recorded, RecordedPose, RecordedScan, no_retu
 from ogm_core.logs.renaming import Renaming, check_range_max
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.ros2 import cdr
-from ogm_core.ros2.bag_files import BagFile, BagMessage
+from ogm_core.ros2.bag_files import BagFile, BagMessage, BagTopic
 from ogm_core.ros2.bag_folder import listed
 from ogm_core.types import PoseStamped, Scan
 from ogm_services.ros2.account import SENT, Account
@@ -156,15 +156,19 @@ class BagReader:
             self._settings.mapper.pose_gap,
             Patience(lambda: 0.0, MAX_WAITING, map_wait),
         )
+        self._handlers = self._handlers_of(bag)
+        self._sent_scans = 0
+        for message in bag.messages([topic for topic in self._handlers if is_static(topic)]):
+            self._handle(self._handlers[message.topic], message)
+
+    def _handlers_of(self, bag: BagFile) -> dict[BagTopic, Callable[[bytes], None]]:
+        """What takes in the messages of each topic that is used."""
         # Poses first: a scan's robot is found by the namespaces that have poses.
         poses = [
             topic for topic in bag.topics if topic.messages and self._conversion.tells_poses(told(topic))
         ]
         found = {topic: self._conversion.handler(0, told(topic)) for topic in [*poses, *self._scan_topics]}
-        self._handlers = {topic: handle for topic, handle in found.items() if handle is not None}
-        self._sent_scans = 0
-        for message in bag.messages([topic for topic in self._handlers if is_static(topic)]):
-            self._handle(self._handlers[message.topic], message)
+        return {topic: handle for topic, handle in found.items() if handle is not None}
 
     def _handle(self, handle: Callable[[bytes], None], message: BagMessage) -> None:
         try:
