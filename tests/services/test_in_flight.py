@@ -194,7 +194,8 @@ def test_a_mapper_counts_over_http_and_zenoh_together(start_mapper, eventually):
         body = mapper.http.get("/map.json").content
         assert len(body) > SMALL
         held = mapper.service.parts.in_flight
-        assert (held.limit, held.held) == (MAX_IN_FLIGHT, 0)
+        assert held.limit == MAX_IN_FLIGHT
+        eventually(lambda: held.held == 0)  # who has read an answer is there before it is let go
         assert mapper.service.memory.held()["caches"] >= 2 * len(body)
         assert mapper.service.memory.limits()["answers"] == MAX_IN_FLIGHT
         held.limit = MIB
