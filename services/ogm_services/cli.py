@@ -16,6 +16,7 @@ from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.erase import erase
+from ogm_services.commands.log_flags import LogFlags, check_replayed
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
@@ -27,24 +28,20 @@ from ogm_services.runtime.log_lines import log_nothing
 from ogm_services.runtime.logged_service import logged_service
 from ogm_services.runtime.signals import running_service
 from ogm_services.runtime.terminal import outlive_terminal
+from ogm_services.settings.flag_groups import with_flag_groups
 from ogm_services.settings.flags import (
     ClientFlags,
     ConfigFile,
     HttpFlags,
-    LogFlags,
     LoggingFlags,
     MapFlags,
     MapperFlags,
     NetworkFlags,
     PrintConfig,
-    RadiusFlags,
-    SensorFlags,
     Url,
-    check_radii,
-    check_replayed,
     settings_from,
-    with_flag_groups,
 )
+from ogm_services.settings.robot_flags import RadiusFlags, SensorFlags, check_radii
 
 LIVE = "Live: mapper, robots and recorder"
 FILES = "Recordings and stored maps, without network"

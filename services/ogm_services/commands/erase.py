@@ -10,7 +10,8 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands.write_flags import WriteFlags
-from ogm_services.settings.flags import ClientFlags, with_flag_groups
+from ogm_services.settings.flag_groups import with_flag_groups
+from ogm_services.settings.flags import ClientFlags
 from ogm_services.settings.values import parse_number, parse_region
 
 Region = Annotated[

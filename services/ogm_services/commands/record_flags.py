@@ -11,14 +11,8 @@ from ogm_services.runtime.loading import loading
 from ogm_services.runtime.log_lines import log_nothing
 from ogm_services.runtime.logged_service import logged_service
 from ogm_services.runtime.signals import running_service
-from ogm_services.settings.flags import (
-    ConfigFile,
-    LoggingFlags,
-    NetworkFlags,
-    PrintConfig,
-    settings_from,
-    with_flag_groups,
-)
+from ogm_services.settings.flag_groups import with_flag_groups
+from ogm_services.settings.flags import ConfigFile, LoggingFlags, NetworkFlags, PrintConfig, settings_from
 
 
 @with_flag_groups

@@ -10,16 +10,9 @@ from ogm_core.errors import BadInput, BadSetting
 from ogm_services.commands.topic_flags import TOPICS, TopicFlags
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
-from ogm_services.settings.flags import (
-    ConfigFile,
-    LoggingFlags,
-    NetworkFlags,
-    PrintConfig,
-    RobotFlags,
-    SensorFlags,
-    settings_from,
-    with_flag_groups,
-)
+from ogm_services.settings.flag_groups import with_flag_groups
+from ogm_services.settings.flags import ConfigFile, LoggingFlags, NetworkFlags, PrintConfig, settings_from
+from ogm_services.settings.robot_flags import RobotFlags, SensorFlags
 
 if TYPE_CHECKING:
     from ogm_services.commands.ros2 import Networks

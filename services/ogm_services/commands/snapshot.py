@@ -11,13 +11,8 @@ import typer
 
 from ogm_core.status import SnapshotInfo
 from ogm_services.commands.write_flags import AsJson, WriteFlags
-from ogm_services.settings.flags import (
-    ClientFlags,
-    ConfigFile,
-    Url,
-    settings_from,
-    with_flag_groups,
-)
+from ogm_services.settings.flag_groups import with_flag_groups
+from ogm_services.settings.flags import ClientFlags, ConfigFile, Url, settings_from
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -1,27 +1,21 @@
-"""The flags that commands share, each group defined once, and the decorator that gives them to a command.
+"""The flags of settings, each group defined once for the commands that share it (see `flag_groups`).
 
-A group is a frozen dataclass whose fields are annotated with `typer.Option`. Flags that give settings pass
-on text and nothing else: `settings.settings` judges values, whichever source they come from.
+They pass on text and nothing else: `settings.settings` judges values, whichever source they come from.
 """
 
-import inspect
 import os
-from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, get_args
 
 import typer
 
 from ogm_core.cells.log_odds import CellType
-from ogm_core.errors import BadInput
 from ogm_core.grid_settings import CellModelName, Outside, SensorModel, Traversal
 from ogm_core.wire.keys import DEFAULT_ADDRESS
 from ogm_services.runtime.log_lines import log_to_stderr, tell
 from ogm_services.settings.described import described
-from ogm_services.settings.entries import FORM, check_for_whom
 from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, settings_and_origins
 from ogm_services.settings.values import LogFormat, LogLevel, Preset
@@ -231,54 +225,6 @@ class LoggingFlags(_SettingFlags):
     ] = None
 
 
-@dataclass(frozen=True)
-class LogFlags:
-    """Log flags of build and replay; the reader of the log judges the values."""
-
-    range_max: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Ranges from here on mean 'no return' in this log, whatever it says itself.",
-            rich_help_panel="Log",
-        ),
-    ] = None
-    robot: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar=f"NAME|{FORM}",
-            help="Rename the log's one robot; or what robots do not say: radius, in a bag origin, name "
-            "(repeatable).",
-            rich_help_panel="Log",
-        ),
-    ] = None
-    odometry: Annotated[
-        bool,
-        typer.Option(
-            "--odometry",
-            help="Take poses from the ODOM lines of a CARMEN log, instead of those in its laser's lines.",
-            rich_help_panel="Log",
-        ),
-    ] = False
-
-    @property
-    def name(self) -> str | None:
-        """The new name of the log's robot.
-
-        Raises:
-            BadInput: there are several.
-        """
-        names = [text for text in self.robot or () if ":" not in text]
-        if len(names) > 1:
-            raise BadInput(f"--robot: the log's one robot gets one name, not {' and '.join(names)}")
-        return names[0] if names else None
-
-    @property
-    def robots(self) -> list[str]:
-        """What is said of robots, GLOB:KEY=VALUE,... of each."""
-        return [text for text in self.robot or () if ":" in text]
-
-
 Url = Annotated[
     str | None,
     typer.Option(
@@ -299,54 +245,6 @@ PrintConfig = Annotated[
         "--print-config", help="Print every setting as YAML, with where it comes from, and do nothing else."
     ),
 ]
-SensorFlags = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--sensor",
-        metavar=FORM,
-        help="What a sensor does not say itself; GLOB is that of ROBOT/SENSOR (repeatable).",
-        rich_help_panel=PANELS["map"],
-    ),
-]
-RobotFlags = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--robot",
-        metavar=FORM,
-        help="What a robot of ROS 2 does not say: origin, name; GLOB is that of its name (repeatable).",
-    ),
-]
-
-
-RadiusFlags = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--robot",
-        metavar=FORM,
-        help="What a robot does not say: radius, within which others see it; GLOB is that of its name "
-        "(repeatable).",
-        rich_help_panel=PANELS["map"],
-    ),
-]
-
-
-def check_radii(texts: list[str] | None) -> None:
-    """Refuse what --robot says that is not the mapper's to know.
-
-    Raises:
-        BadSetting: there is such a key.
-    """
-    check_for_whom("robots", texts or (), "--robot", {"radius"}, "ogm ros2: ogm ros2 --robot {!r}")
-
-
-def check_replayed(texts: list[str]) -> None:
-    """Refuse what --robot says of a log's robots that is the mapper's to know.
-
-    Raises:
-        BadSetting: there is such a key.
-    """
-    mapper = "the mapper: ogm mapper --robot {!r}; here origin and name can be given, of a bag's robots"
-    check_for_whom("robots", texts, "--robot", {"origin", "name"}, mapper)
 
 
 def settings_from(
@@ -380,40 +278,3 @@ def settings_from(
         typer.echo(described(settings, origins), nl=False)
         raise typer.Exit
     return settings
-
-
-def with_flag_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace every parameter of `command` whose type is a group by the group's flags.
-
-    Typer sees the flags; the command gets one object per group.
-    """
-    groups: dict[str, Any] = {}
-    flags: list[inspect.Parameter] = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if is_dataclass(parameter.annotation):
-            groups[name] = parameter.annotation
-            flags += _flags_of(parameter.annotation)
-        else:
-            flags.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-
-    @wraps(command)
-    def run(**values: Any) -> None:  # noqa: ANN401 (whatever typer has read)
-        objects = {
-            name: group(**{field.name: values.pop(field.name) for field in fields(group)})
-            for name, group in groups.items()
-        }
-        command(**values, **objects)
-
-    run.__dict__["__signature__"] = inspect.Signature(flags)
-    run.__annotations__ = {flag.name: flag.annotation for flag in flags}
-    return run
-
-
-def _flags_of(group: Any) -> list[inspect.Parameter]:  # noqa: ANN401 (any dataclass)
-    hints = get_type_hints(group, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
-        )
-        for field in fields(group)
-    ]
