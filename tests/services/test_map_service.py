@@ -231,6 +231,24 @@ def test_who_publishes_the_map_offers_it_beside_the_topic(mapper, join, monkeypa
             pass
 
 
+def test_after_a_bug_the_map_goes_on_being_published(monkeypatch, eventually, caplog):
+    monkeypatch.setattr(map_publisher, "LISTEN", 0.0)
+    monkeypatch.setattr(map_publisher, "PERIOD", 0.01)
+    fetch, asked = Fetch([[100]]), []
+
+    def version():
+        asked.append(True)
+        if len(asked) == 1:
+            raise ZeroDivisionError("a bug")
+        return "first"
+
+    fetch.version = version
+    with closing(MapPublisher([], fetch, trinary="/hall/map", probabilities=None)):
+        eventually(lambda: fetch.fetched)
+    assert "publishing the map failed" in caplog.text
+    assert "ZeroDivisionError: a bug" in caplog.text
+
+
 def test_on_dds_there_is_no_service_that_clients_could_wait_for(eventually):
     pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
     from ogm_services.ros2.dds import DdsSource

@@ -186,6 +186,8 @@ class MapPublisher:
             except ClientError as error:
                 if not self._ending.is_set():
                     self._complaints.of_kind("map", error.slug, str(error))
+            except Exception:  # noqa: BLE001 - it is logged, with its traceback
+                self._complaints.failure("publishing the map")  # a bug of ours: the next one may go well
             for topic in topics.values():
                 topic.look()
 
