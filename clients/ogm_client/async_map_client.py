@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import partial, wraps
 from types import TracebackType
@@ -21,6 +21,7 @@ _THREADS = 8
 """So many questions of a client are asked at a time."""
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+_C = TypeVar("_C", MapClient, MapFollower)
 
 
 def _awaited(
@@ -73,7 +74,7 @@ class AsyncMapClient:
     @asynccontextmanager
     async def follow(self, *, interval: float = DEFAULT_INTERVAL) -> AsyncIterator["AsyncMapFollower"]:
         """Follow the map, as `MapClient.follow`: `async with mapper.follow() as follower`."""
-        follower = await self._in_thread(partial(self._opened.follow, interval=interval))
+        follower = await self._opened_in_thread(partial(self._opened.follow, interval=interval))
         try:
             yield AsyncMapFollower(follower, self._in_thread)
         finally:
@@ -97,11 +98,12 @@ class AsyncMapClient:
         """Close the connection; closing twice does nothing."""
         if self._client is not None and not self._closed:
             self._closed = True
-            await self._in_thread(self._client.close)
+            # Not in the pool, as above: they get no answer any more.
+            await asyncio.to_thread(self._client.close)
         self._pool.shutdown(wait=False)
 
     async def __aenter__(self) -> Self:
-        self._client = await self._in_thread(self._open)
+        self._client = await self._opened_in_thread(self._open)
         return self
 
     async def __aexit__(
@@ -116,11 +118,22 @@ class AsyncMapClient:
         return self._client
 
     async def _in_thread(self, work: Callable[[], _T]) -> _T:
+        return await asyncio.wrap_future(self._submit(work))
+
+    async def _opened_in_thread(self, work: Callable[[], _C]) -> _C:
+        """What has to be closed: if nobody waits for it any more, it is once it is there."""
+        made = self._submit(work)
         try:
-            answer = asyncio.get_running_loop().run_in_executor(self._pool, work)
+            return await asyncio.wrap_future(made)
+        except asyncio.CancelledError:
+            made.add_done_callback(_close_made)
+            raise
+
+    def _submit(self, work: Callable[[], _T]) -> "Future[_T]":
+        try:
+            return self._pool.submit(work)
         except RuntimeError as error:  # of a pool that takes no more work
             raise ClientError("the client is closed") from error
-        return await answer
 
 
 class AsyncMapFollower:
@@ -176,6 +189,11 @@ class AsyncMapFollower:
             yield heard
         finally:
             end()
+
+
+def _close_made(made: "Future[_C]") -> None:
+    if not made.cancelled() and made.exception() is None:
+        made.result().close()
 
 
 def _set_on(loop: asyncio.AbstractEventLoop, heard: asyncio.Event) -> None:

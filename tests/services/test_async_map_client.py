@@ -2,12 +2,14 @@
 
 import asyncio
 import inspect
+import threading
 import time
 
 import numpy as np
 import pytest
 
 from ogm_client import AsyncMapClient, BadParameter, ClientError, MapClient, MapperError, NobodyAnswered
+from ogm_client.follower import MapFollower
 from ogm_client.zenoh_transport import ZenohTransport
 
 PATIENCE = 30.0
@@ -128,5 +130,73 @@ def test_a_client_that_is_not_open_says_so(cross):
         await client.close()
         with pytest.raises(ClientError, match="closed"):
             await client.status()
+
+    asyncio.run(ask())
+
+
+@OVER
+def test_what_is_given_up_while_it_opens_is_closed_once_it_is_there(cross, over, monkeypatch):
+    """A client that is given up while it connects, and a follower while it takes the map."""
+    begun, go_on, closed = threading.Event(), threading.Event(), threading.Semaphore(0)
+
+    def hold(kind, name):
+        method, close = getattr(kind, name), kind.close
+
+        def held(self, *given, **named):
+            method(self, *given, **named)
+            begun.set()
+            assert go_on.wait(PATIENCE)
+
+        def noted(self):
+            close(self)
+            closed.release()
+
+        monkeypatch.setattr(kind, name, held)
+        monkeypatch.setattr(kind, "close", noted)
+
+    async def give_up(opening):
+        begun.clear()
+        go_on.clear()
+        waiting = asyncio.create_task(opening.__aenter__())
+        assert await asyncio.to_thread(begun.wait, PATIENCE)
+        waiting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waiting
+        go_on.set()
+        assert await asyncio.to_thread(closed.acquire, timeout=PATIENCE)
+
+    async def ask():
+        async with client_of(cross, over) as client:
+            hold(MapFollower, "__init__")
+            await give_up(client.follow())
+        hold(MapClient, "__init__")
+        await give_up(client_of(cross, over))
+
+    asyncio.run(ask())
+
+
+def test_a_client_closes_while_all_of_its_threads_wait_for_answers(cross, monkeypatch):
+    asked, closed = threading.Semaphore(0), threading.Event()
+    close = ZenohTransport.close
+
+    def wait(self, name, parameters):
+        asked.release()
+        assert closed.wait(PATIENCE)
+        raise ClientError("closed meanwhile")
+
+    def noted(self):
+        close(self)
+        closed.set()
+
+    monkeypatch.setattr(ZenohTransport, "fetch", wait)
+    monkeypatch.setattr(ZenohTransport, "close", noted)
+
+    async def ask():
+        async with client_of(cross, "zenoh") as client:
+            answers = [asyncio.create_task(client.fetch("status")) for _ in range(20)]
+            for _ in range(8):
+                assert await asyncio.to_thread(asked.acquire, timeout=PATIENCE)
+        ended = await asyncio.gather(*answers, return_exceptions=True)
+        assert [str(error) for error in ended] == ["closed meanwhile"] * 20
 
     asyncio.run(ask())
