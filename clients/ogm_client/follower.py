@@ -23,6 +23,8 @@ _MAX_HEARD: Final = 16
 _CLOSING: Final = 1.0
 """How long `close` waits for the thread, s: it may be waiting for an answer."""
 _UNAVAILABLE: Final = 503
+_NO_VERSION: Final = 400
+"""What a mapper answers who names a version that none can have: somebody else has told it."""
 
 
 class MapFollower:
@@ -52,6 +54,8 @@ class MapFollower:
         self._heard: deque[bytes] = deque(maxlen=_MAX_HEARD)
         self._arrived = threading.Event()
         """Whether there is something to do for the thread; Zenoh's own waits for nobody to set it."""
+        self._asked = 0.0
+        """When it was last asked, by `time.monotonic()`."""
         self._told = False
         """Whether the mapper tells what changes: it has since it was last asked for being silent."""
         self._trouble: OgmError | None = None
@@ -215,12 +219,15 @@ class MapFollower:
         return self._heard.popleft() if self._heard else None
 
     def _take(self, payload: bytes) -> None:
-        """Apply what was told, or ask for what has been missed."""
+        """Apply what was told, or ask for what has been missed.
+
+        Whoever may put messages may tell lies: the mapper, which is asked, has the last word.
+        """
         try:
-            updates = list(decode_updates(payload))
-        except BadMessage:
-            updates = []
-        if not updates or not all(self._follows(update) for update in updates):
+            follows = self._follows(next(decode_updates(payload)))
+        except (BadMessage, BadReply, StopIteration):
+            follows = False
+        if not follows:
             self._ask()
 
     def _follows(self, update: MapUpdate) -> bool:
@@ -228,13 +235,22 @@ class MapFollower:
         with self._news:
             taken = self._copy.take(update)
             self._notify()
+            same = self._copy.version == (update.epoch, update.run, update.revision)
+        if taken is Taken.KNOWN and not same:  # it comes late, or what is here is no map of the mapper's
+            return time.monotonic() - self._asked < SILENCE
         return taken in (Taken.APPLIED, Taken.KNOWN)
 
     def _ask(self) -> None:
         """Bring the copy up to date by what has changed since it was."""
         mine = self._copy.version
         since = {} if mine is None else {"since": "-".join(map(str, mine))}
-        payload = self._transport.fetch("map.tiles", since)
+        self._asked = time.monotonic()
+        try:
+            payload = self._transport.fetch("map.tiles", since)
+        except MapperError as error:
+            if not since or error.status != _NO_VERSION:
+                raise
+            payload = self._transport.fetch("map.tiles", {})
         taken = None
         try:
             for update in decode_updates(payload):

@@ -38,7 +38,7 @@ def change_since(copy: MapCopy, seen: Version | None) -> Change:
     mine, newest = copy.version, copy.newest
     assert mine is not None
     assert newest is not None
-    other_life = seen is None or seen[:2] != mine[:2]
+    other_life = seen is None or not seen.is_before(mine)
     changed = sorted(copy.changed_since(seen))
     rect = _rect_around(changed)
     region = None if rect is None else newest.lattice.region_of(rect)

@@ -75,7 +75,8 @@ class MapCopy:
         """
         life, mine = (update.epoch, update.run), self.version
         if mine is not None and life == mine[:2]:
-            if update.revision <= mine.revision:
+            # Who is asked, and is not as far, is right: somebody else has told what is here.
+            if update.revision <= mine.revision and not (asked and update.whole):
                 return Taken.KNOWN
             if update.prev > mine.revision and not update.whole:
                 return Taken.GAP
@@ -88,7 +89,8 @@ class MapCopy:
             return Taken.APPLIED
         parts = [*self._parts, update] if update.part else [update]
         self._parts = []
-        if update.part != len(parts) - 1 or any(_change(part) != _change(update) for part in parts):
+        # Those before are one change already.
+        if update.part != len(parts) - 1 or _change(parts[0]) != _change(update):
             return Taken.GAP
         self._check_size(parts)
         if len(parts) < update.parts:
@@ -100,7 +102,7 @@ class MapCopy:
     def changed_since(self, seen: Version | None) -> list[Place]:
         """The tiles that are not what they were at a version of this life; all of them for another one."""
         mine = self.version
-        if mine is None or seen is None or seen[:2] != mine[:2]:
+        if mine is None or seen is None or not seen.is_before(mine):
             return list(self._tiles)
         return [place for place, revision in self._changed.items() if revision > seen.revision]
 
@@ -175,12 +177,13 @@ class _Change(NamedTuple):
     revision: int
     whole: bool
     parts: int
+    form: tuple[Any, ...]
 
 
 def _change(update: MapUpdate) -> _Change:
     """What the parts of one change have in common."""
     life = update.epoch, update.run
-    return _Change(life, update.prev, update.revision, update.whole, update.parts)
+    return _Change(life, update.prev, update.revision, update.whole, update.parts, _form(update))
 
 
 def _form(update: MapUpdate) -> tuple[Any, ...]:

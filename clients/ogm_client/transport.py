@@ -45,6 +45,10 @@ class Version(NamedTuple):
     """Of the mapper's process; "" of an older mapper, which does not tell it."""
     revision: int
 
+    def is_before(self, other: "Version") -> bool:
+        """Whether the other one is what this one came to, or itself: of one life, and not older."""
+        return self[:2] == other[:2] and self.revision <= other.revision
+
 
 class MapReply(NamedTuple):
     """map.npz, or another archive, and what it shows.

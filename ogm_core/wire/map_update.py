@@ -136,7 +136,7 @@ def _update_of(fields: Any) -> MapUpdate:  # noqa: ANN401 - whatever was sent
     if fields.get("tile") != TILE:
         raise BadMessage(f"tile: tiles of {TILE} cells are read, not of {cut(repr(fields.get('tile')))}")
     planes = _planes_of(fields)
-    tiles = _tiles_of(fields)
+    tiles = _tiles_of(fields, planes)
     stamp, whole = fields.get("stamp"), fields.get("whole")
     if type(whole) is not bool:
         raise BadMessage(f"whole: true or false is needed, got {cut(repr(whole))}")
@@ -183,10 +183,15 @@ def _planes_of(fields: Mapping[str, Any]) -> tuple[Plane, ...]:
     return tuple(planes)
 
 
-def _tiles_of(fields: Mapping[str, Any]) -> NDArray[np.int64]:
+def _tiles_of(fields: Mapping[str, Any], planes: tuple[Plane, ...]) -> NDArray[np.int64]:
     tiles = _bytes(fields, "tiles")
-    if len(tiles) % (2 * _PLACE.itemsize):
+    count, rest = divmod(len(tiles), 2 * _PLACE.itemsize)
+    if rest:
         raise BadMessage(f"tiles: {len(tiles)} bytes are no whole number of (tx, ty)")
+    size = count * tile_bytes(planes)
+    # Before anything is made of them. A message of one tile may be larger: there is no smaller one.
+    if size > MAX_CELL_BYTES and count > 1:
+        raise BadMessage(f"tiles: {count} take {size} bytes, more than the {MAX_CELL_BYTES} of a message")
     places = np.frombuffer(tiles, _PLACE).reshape(-1, 2).astype(np.int64, copy=False)
     most = MAX_INDEX // TILE
     if not ((places >= -most) & (places < most)).all():
@@ -197,11 +202,7 @@ def _tiles_of(fields: Mapping[str, Any]) -> NDArray[np.int64]:
 
 
 def _cells_of(fields: Mapping[str, Any], planes: tuple[Plane, ...], count: int) -> dict[str, NDArray[Any]]:
-    size = count * tile_bytes(planes)
-    # A message of one tile may be larger: there is no smaller one.
-    if size > MAX_CELL_BYTES and count > 1:
-        raise BadMessage(f"tiles: {count} take {size} bytes, more than the {MAX_CELL_BYTES} of a message")
-    unpacked = _inflated(_bytes(fields, "data"), size)
+    unpacked = _inflated(_bytes(fields, "data"), count * tile_bytes(planes))
     cells, begin = {}, 0
     for plane in planes:
         each = (TILE * plane.side) ** 2

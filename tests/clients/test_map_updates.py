@@ -14,6 +14,7 @@ from ogm_client.errors import BadReply
 from ogm_client.map_copy import MapCopy, Taken
 from ogm_client.map_grid import MapGrid
 from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.cells.model import Plane
 from ogm_core.errors import BadMessage
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -204,6 +205,18 @@ def test_what_is_large_comes_in_parts_which_count_together(monkeypatch):
         assert Taken.APPLIED not in taken
     assert other.version is None
     assert take(other, message(snapshot))[-1] is Taken.APPLIED
+
+
+def test_parts_of_one_change_have_the_same_planes():
+    """Else the first one says what the copy takes, and the others take more."""
+    grid, copy = new_grid(LogOdds()), MapCopy(MUCH)
+    grid.integrate(scan_at(10**18, np.random.default_rng(1)), Pose(0.5, 0.5, 0.0))
+    (update,) = decode_updates(message(grid.snapshot()))
+    wide = (Plane(PLANE, np.dtype("float64"), 2),)
+    cells = {PLANE: np.zeros((len(update.tiles), 4 * 4096))}
+    assert copy.take(replace(update, parts=2)) is Taken.PART
+    assert copy.take(replace(update, parts=2, part=1, planes=wide, cells=cells)) is Taken.GAP
+    assert copy.version is None
 
 
 def test_a_life_that_was_left_is_not_taken_again_unless_asked_for():
