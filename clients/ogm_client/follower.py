@@ -1,5 +1,6 @@
 """Map follower: a copy of a mapper's map that a thread keeps up to date."""
 
+import atexit
 import math
 import threading
 import time
@@ -70,6 +71,8 @@ class MapFollower:
         except BaseException:
             self._stop_hearing()
             raise
+        # Zenoh's thread would call into a Python that has ended.
+        atexit.register(self.close)
         self._thread.start()
 
     @property
@@ -159,12 +162,12 @@ class MapFollower:
         return end
 
     def close(self) -> None:
-        """Follow no longer; closing twice does nothing."""
+        """Follow no longer; closing twice does nothing. The end of the program closes it, too."""
         with self._news:
             self._closed = True
             self._notify()
         self._arrived.set()
-        self._stop_hearing()
+        self._hear_no_more()
         if threading.current_thread() is not self._thread:
             self._thread.join(_CLOSING)
 
@@ -180,12 +183,19 @@ class MapFollower:
         self._heard.append(payload)  # the oldest one goes, if there is no room: a gap
         self._arrived.set()
 
+    def _hear_no_more(self) -> None:
+        with self._news:  # once: Zenoh undeclares nothing twice at a time
+            stop_hearing, self._stop_hearing = self._stop_hearing, _nothing
+        stop_hearing()
+        atexit.unregister(self.close)
+
     def _run(self) -> None:
         try:
             self._follow()
         finally:
             if not self._closed and self._ended is None:  # a bug: nobody is to wait for ever
                 self._end(ClientError("follow: the thread that follows the map has failed"))
+            self._hear_no_more()
 
     def _follow(self) -> None:
         while True:
@@ -281,3 +291,7 @@ class MapFollower:
         with self._news:
             self._ended = error
             self._notify()
+
+
+def _nothing() -> None:
+    """Stop what has been stopped."""

@@ -1,9 +1,13 @@
 """MapClient.follow and watch against a mapper: at every revision they tell the copy is the mapper's map."""
 
+import gc
 import hashlib
 import math
+import subprocess
+import sys
 import threading
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -294,6 +298,38 @@ def test_a_closed_follower_tells_nothing_more(start_mapper, over):
         assert follower.wait(after=follower.version) is None
         with pytest.raises(ClientError, match="the follower is closed"):
             follower.next_grid(follower.version, math.inf)
+
+
+FORGETFUL = """
+import sys
+from ogm_client import MapClient
+client = MapClient(sys.argv[1], map_name="hall", timeout=30.0)
+followers = [client.follow() for _ in range(2)]
+print(*(follower.version.revision for follower in followers))
+"""
+
+
+@OVER
+def test_a_program_that_closes_nothing_ends_without_a_word(start_mapper, over):
+    with start_mapper(map={"resolution": 0.5}) as mapper:
+        command = [sys.executable, "-c", FORGETFUL, address(mapper, over)]
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "0 0\n", "")
+
+
+@OVER
+def test_a_follower_that_has_ended_keeps_nothing(start_mapper, over):
+    """Neither its copy nor its subscription, whether somebody closes it or not."""
+    with start_mapper(map={"resolution": 0.5}) as mapper:
+        with client_of(mapper, over) as client:
+            follower = client.follow(interval=0.02)
+        with pytest.raises(ClientError):
+            follower.wait(after=follower.version, timeout=PATIENCE)
+        follower._thread.join(PATIENCE)
+        left = weakref.ref(follower)
+        del follower
+        gc.collect()
+        assert left() is None
 
 
 @OVER
