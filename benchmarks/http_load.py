@@ -46,15 +46,8 @@ def measured(work: Workload, flags: list[str], cells: str, quick: bool) -> list[
         answer = httpx.get(ours, timeout=TIMEOUT)
         etag = answer.headers["ETag"]
         assert httpx.get(ours, headers={"If-None-Match": etag}, timeout=TIMEOUT).status_code == 304
-        validator = f"If-None-Match: {etag}"
         with bare(answer.content) as theirs:
-            asked = {
-                "200": (ours, ()),
-                "bare 200": (f"{theirs}map.png", ()),
-                "304": (ours, (validator,)),
-                "bare 304": (f"{theirs}unchanged.png", (validator,)),
-            }
-            rates = interleaved(asked, rounds, seconds)
+            rates = interleaved(asked_beside(ours, theirs, etag), rounds, seconds)
     size = f"{len(answer.content):,} bytes"
     group = f"HTTP: /map.png of {cells} cells, {size}, unchanged; wrk, {CONNECTIONS} connections"
     results = []
@@ -66,6 +59,17 @@ def measured(work: Workload, flags: list[str], cells: str, quick: bool) -> list[
             Result(group, f"{what}, times bare FastAPI", ours_rate / bare_rate, "x", TARGET),
         ]
     return results
+
+
+def asked_beside(ours: str, theirs: str, etag: str) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """URLs and request headers of an answer of ours and of a bare server's: whole, and if it has changed."""
+    validator = f"If-None-Match: {etag}"
+    return {
+        "200": (ours, ()),
+        "bare 200": (f"{theirs}map.png", ()),
+        "304": (ours, (validator,)),
+        "bare 304": (f"{theirs}unchanged.png", (validator,)),
+    }
 
 
 def interleaved(

@@ -7,14 +7,14 @@ over HTTP are measured as those of whole maps are (see benchmarks.http_load).
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import cast
 
 import httpx
 import numpy as np
 
 from benchmarks.http_clients import have_wrk
-from benchmarks.http_load import CONNECTIONS, TIMEOUT, bare, interleaved
+from benchmarks.http_load import CONNECTIONS, TIMEOUT, asked_beside, bare, interleaved
 from benchmarks.running import map_scans, mapper
 from benchmarks.table import Result
 from benchmarks.workloads import Workload, first_scans, mapped, settings_of, whole_big
@@ -63,27 +63,17 @@ def upkeep(work: Workload, rounds: int) -> list[Result]:
 
 def _mapped_and_looked_at(work: Workload) -> tuple[float, float, float, int]:
     """CPU time of integration, of copies and of overviews, s, and how many tiles were made anew."""
-    grid, pyramid = OccupancyGrid(settings_of(work)), TilePyramid()
-    integration = copies = overviews = since = 0.0
-    made, looked = 0, 0
-    for n, (scan, pose, _) in enumerate(work.scans):
+    mapping, pyramid = _Mapping(work), TilePyramid()
+    overviews, made, looked = 0.0, 0, 0
+    for snapshot in mapping:
         begin = time.thread_time()
-        grid.integrate(scan, pose)
-        took = time.thread_time() - begin
-        integration, since = integration + took, since + took
-        if since < PERIOD and n + 1 < len(work.scans):
-            continue
-        begin = time.thread_time()
-        snapshot = grid.snapshot()
-        copied = time.thread_time()
         for square in ALL:
             pyramid.pixels(_view(snapshot), snapshot.model, square)
-        overviews += time.thread_time() - copied
-        copies += copied - begin
+        overviews += time.thread_time() - begin
         revisions = _view(snapshot).tiles.revisions(slice(None), slice(None))
         made += int(np.count_nonzero(revisions > looked))
-        since, looked = 0.0, grid.revision
-    return integration, copies, overviews, made
+        looked = snapshot.revision
+    return mapping.integration, mapping.copies, overviews, made
 
 
 def told(work: Workload, rounds: int) -> list[Result]:
@@ -104,26 +94,40 @@ def told(work: Workload, rounds: int) -> list[Result]:
 
 def _mapped_and_told(work: Workload) -> tuple[float, float, float, int, int]:
     """CPU time of integration, of copies and of messages, s; how many tiles were told, in how many bytes."""
-    grid = OccupancyGrid(settings_of(work))
-    integration = copies = telling = since = 0.0
-    tiles, size, seen = 0, 0, 0
-    for n, (scan, pose, _) in enumerate(work.scans):
+    mapping = _Mapping(work)
+    telling, tiles, size, seen = 0.0, 0, 0, 0
+    for snapshot in mapping:
         begin = time.thread_time()
-        grid.integrate(scan, pose)
-        took = time.thread_time() - begin
-        integration, since = integration + took, since + took
-        if since < PERIOD and n + 1 < len(work.scans):
-            continue
-        begin = time.thread_time()
-        snapshot = grid.snapshot()
-        copied = time.thread_time()
         changed = ChangedTiles.since(_view(snapshot).tiles, seen)
         messages = [encode_update(update) for update in updates_of(snapshot, changed, seen)]
-        telling += time.thread_time() - copied
-        copies += copied - begin
+        telling += time.thread_time() - begin
         tiles, size = tiles + len(changed), size + sum(map(len, messages))
-        since, seen = 0.0, grid.revision
-    return integration, copies, telling, tiles, size
+        seen = snapshot.revision
+    return mapping.integration, mapping.copies, telling, tiles, size
+
+
+class _Mapping:
+    """A workload that is integrated, and the CPU time of it; iterating gives the map at each PERIOD of it."""
+
+    def __init__(self, work: Workload) -> None:
+        self._work = work
+        self.integration = self.copies = 0.0
+        """Time of integration, and of the copies that are given, s."""
+
+    def __iter__(self) -> Iterator[MapSnapshot]:
+        grid, since = OccupancyGrid(settings_of(self._work)), 0.0
+        for n, (scan, pose, _) in enumerate(self._work.scans):
+            begin = time.thread_time()
+            grid.integrate(scan, pose)
+            took = time.thread_time() - begin
+            self.integration, since = self.integration + took, since + took
+            if since < PERIOD and n + 1 < len(self._work.scans):
+                continue
+            begin = time.thread_time()
+            snapshot = grid.snapshot()
+            self.copies += time.thread_time() - begin
+            yield snapshot
+            since = 0.0
 
 
 def pictures(work: Workload, rounds: int) -> list[Result]:
@@ -164,15 +168,9 @@ def warm(work: Workload, quick: bool) -> list[Result]:
         map_scans(running, work.scans)
         ours = f"{running.url}tiles/{WARM.z}/{WARM.x}/{WARM.y}.png"
         answer = httpx.get(ours, timeout=TIMEOUT)
-        validator = f"If-None-Match: {answer.headers['ETag']}"
         with bare(answer.content) as theirs:
-            asked = {
-                "200": (ours, ()),
-                "bare 200": (f"{theirs}map.png", ()),
-                "304": (ours, (validator,)),
-                "bare 304": (f"{theirs}unchanged.png", (validator,)),
-            }
             rounds, seconds = (QUICK_ROUNDS, QUICK_SECONDS) if quick else (ROUNDS, SECONDS)
+            asked = asked_beside(ours, theirs, answer.headers["ETag"])
             rates = interleaved(asked, rounds, seconds)
     group = f"HTTP: a tile of big, {len(answer.content):,} bytes, unchanged; wrk, {CONNECTIONS} connections"
     results = []
