@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.model import Plane
 from ogm_core.errors import BadStore
+from ogm_core.tiles.inflating import inflated
 from ogm_core.tiles.palette import MAX_NUMBERS, find_palette
 from ogm_core.tiles.store import TILE
 
@@ -92,12 +93,11 @@ def _decoded(record: bytes, at: int, kind: Plane) -> tuple[NDArray[Any], int]:
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:
     """Exactly `size` bytes, whatever `data` claims to be."""
-    unpacking = zlib.decompressobj()
     try:
-        unpacked = unpacking.decompress(data, size + 1)
+        unpacked = inflated(data, size)
     except zlib.error as error:
         raise BadStore(f"plane {name}: {error}") from error
-    if len(unpacked) != size or not unpacking.eof or unpacking.unused_data:
+    if unpacked is None:
         raise BadStore(f"plane {name}: it is not as long as a tile")
     return unpacked
 

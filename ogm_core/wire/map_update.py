@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.model import Plane
 from ogm_core.errors import BadMessage, BadSetting, cut
 from ogm_core.lattice import MAX_INDEX, CellRect, Lattice
+from ogm_core.tiles.inflating import inflated
 from ogm_core.tiles.store import TILE, tile_bytes
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import MAX_NAME
@@ -214,12 +215,11 @@ def _cells_of(fields: Mapping[str, Any], planes: tuple[Plane, ...], count: int) 
 
 def _inflated(data: bytes, size: int) -> bytes:
     """Exactly `size` bytes, whatever `data` claims to be."""
-    unpacking = zlib.decompressobj()
     try:
-        unpacked = unpacking.decompress(data, size + 1)
+        unpacked = inflated(data, size)
     except zlib.error as error:
         raise BadMessage(f"data: {error}") from error
-    if len(unpacked) != size or not unpacking.eof or unpacking.unused_data:
+    if unpacked is None:
         raise BadMessage(f"data: it is not {size} bytes, as many as the tiles' cells take")
     return unpacked
 
