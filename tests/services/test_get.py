@@ -18,7 +18,8 @@ from ogm_core.lattice import Region
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.status import PoseCounts, ScanCounts
 from ogm_services.cli import app
-from ogm_services.commands.status import LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS, status_tables
+from ogm_services.commands.status import status_tables
+from ogm_services.replies.what_helps import LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 from status_json import STATUS as FULL_STATUS
 
 STATUS = {
