@@ -19,7 +19,8 @@ from ogm_core.status import ScanCounts
 from ogm_services.mapper.service import LIVE_MAP
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.signals import held_signals
-from ogm_services.settings.settings import HttpSettings, Settings
+from ogm_services.settings.http import HttpSettings
+from ogm_services.settings.settings import Settings
 from ogm_services.settings.sources import without_settings
 
 SHUTDOWN = 15.0

@@ -41,7 +41,7 @@ class WriteFlags:
     def client(self, network: ClientFlags) -> Iterator["MapClient"]:
         """A client that may change something, with the mapper's token if there is one."""
         from ogm_services.commands.mapper_client import asking, is_http, mapper_client
-        from ogm_services.settings.settings import token_in
+        from ogm_services.settings.http import token_in
 
         settings = settings_from(self.config, network)
         options: dict[str, Any] = {"timeout": WRITE_TIMEOUT}

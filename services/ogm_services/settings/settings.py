@@ -11,10 +11,6 @@ from pydantic import (
     ConfigDict,
     Field,
     FilePath,
-    SecretStr,
-    SerializationInfo,
-    field_serializer,
-    field_validator,
     model_validator,
 )
 
@@ -38,18 +34,17 @@ from ogm_core.placing.robot_rules import RobotRule
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
+from ogm_services.settings.http import SECRETS, HttpSettings
 from ogm_services.settings.robots import RobotSettings
+from ogm_services.settings.section import Section
 from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
     LOWER_CASE,
     NONE,
-    TOKEN,
-    TOKEN_FORM,
     Bounds,
     Count,
     Endpoints,
     Finite,
-    HostNames,
     LogFormat,
     LogLevel,
     NotNegative,
@@ -57,9 +52,7 @@ from ogm_services.settings.values import (
     PositiveOrInfinite,
     Preset,
     Probability,
-    Token,
     WholeNumber,
-    address_without_port,
 )
 
 DEFAULT_MAX_MEMORY = 3 * DEFAULT_MAX_BYTES
@@ -71,24 +64,7 @@ if TYPE_CHECKING:
     from ogm_client.session import NetworkConfig
 
 
-SECRETS = "secrets"
-"""Key of a serialisation's context: whether secrets are written out."""
-
-
-class _Section(BaseModel):
-    """A group of settings: frozen, closed to unknown keys; text is read as what each key needs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_setting_is_a_switch(cls, value: object) -> object:
-        if isinstance(value, bool):
-            raise ValueError("this is not a switch")  # noqa: TRY004 (pydantic collects ValueErrors only)
-        return value
-
-
-class MapSettings(_Section):
+class MapSettings(Section):
     """The map and its sensor model; lengths in metres. Text "none" means none where none is allowed."""
 
     preset: Annotated[Preset | None, NONE] = None
@@ -120,7 +96,7 @@ class MapSettings(_Section):
         return LogOdds(self.cells, self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)
 
 
-class NetworkSettings(_Section):
+class NetworkSettings(Section):
     """The map's name, and the way to the other services.
 
     A relative `zenoh_config` starts at the working folder.
@@ -147,57 +123,7 @@ class NetworkSettings(_Section):
         return NetworkConfig(listen=listen, connect=connect, config_file=self.zenoh_config)
 
 
-def token_in(path: Path, given_as: str) -> bytes:
-    """The token in a file.
-
-    Raises:
-        BadSetting: it cannot be read, or holds none; the text names the setting or flag that it was given as.
-    """
-    try:
-        token = path.read_bytes().strip()
-    except OSError as error:
-        raise BadSetting(f"{given_as}: {path}: cannot be read: {error.strerror}") from None
-    if not TOKEN.fullmatch(token.decode("latin-1")):
-        raise BadSetting(f"{given_as}: {path}: {TOKEN_FORM} is needed, on one line")
-    return token
-
-
-class HttpSettings(_Section):
-    """Where the mapper serves HTTP, under which names, and the token that guards writes.
-
-    Port 0 picks a free one. `hosts` are names besides the machine's own. `token_file` holds the token, on one
-    line; a relative path starts at the working folder.
-    """
-
-    host: Annotated[str, AfterValidator(address_without_port)] = "127.0.0.1"
-    port: Annotated[WholeNumber, Field(ge=0, le=65535)] = 8000
-    hosts: HostNames = ()
-    token: Annotated[Token | None, NONE] = None
-    token_file: Annotated[FilePath | None, NONE] = None
-
-    @model_validator(mode="after")
-    def _one_token(self) -> Self:
-        if self.token is not None and self.token_file is not None:
-            raise BadSetting("http.token, http.token_file: give one of the two")
-        return self
-
-    @field_serializer("token")
-    def _masked(self, token: SecretStr | None, info: SerializationInfo) -> str | None:
-        told = info.context is not None and info.context.get(SECRETS)
-        return None if token is None else token.get_secret_value() if told else str(token)
-
-    def write_token(self) -> bytes | None:
-        """The token that writes over HTTP must carry; None if they need none.
-
-        Raises:
-            BadSetting: the file of the token cannot be read, or holds none.
-        """
-        if self.token_file is None:
-            return None if self.token is None else self.token.get_secret_value().encode()
-        return token_in(self.token_file, "http.token_file")
-
-
-class MapperSettings(_Section):
+class MapperSettings(Section):
     """The mapper's limits, and what its map starts with.
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_memory` of all that robots
@@ -224,7 +150,7 @@ class MapperSettings(_Section):
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
 
 
-class LogSettings(_Section):
+class LogSettings(Section):
     """What a service logs, and in which form."""
 
     level: Annotated[LogLevel, LOWER_CASE] = "info"
