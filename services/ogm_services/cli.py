@@ -82,7 +82,8 @@ def program(
 
 
 World = Annotated[
-    str, typer.Option(metavar="WORLD", help="lab, office, or the YAML file of a world or a ROS map.")
+    str,
+    typer.Option("--world", metavar="WORLD", help="lab, office, or the YAML file of a world or a ROS map."),
 ]
 Start = Annotated[
     str | None,
@@ -397,7 +398,9 @@ def build(
     ] = None,
     world: Annotated[
         str | None,
-        typer.Option(metavar="WORLD", help="Judge the map by this true world, named as in ogm simulate."),
+        typer.Option(
+            "--world", metavar="WORLD", help="Judge the map by this true world, named as in ogm simulate."
+        ),
     ] = None,
     figure: Annotated[
         Path | None,

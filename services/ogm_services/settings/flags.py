@@ -228,6 +228,7 @@ class LoggingFlags(_SettingFlags):
 Url = Annotated[
     str | None,
     typer.Option(
+        "--url",  # typer 0.27 and 0.28 would name it as its metavar
         metavar="URL",
         help="The mapper: http://HOST:PORT, or a Zenoh endpoint such as tcp/HOST:PORT "
         f"(default: where the settings connect to, else {DEFAULT_ADDRESS}).",
