@@ -119,7 +119,7 @@ for _colours in COLOURS.values():
 
 
 def legend(palette: str) -> dict[str, str]:
-    """What a palette's colours of cells stand for, as #rrggbb: certainly occupied, certainly free, even."""
+    """What a palette's colours stand for, as #rrggbb: certainly occupied, certainly free, even; unknown."""
     colours = COLOURS[palette]
-    bytes_of = {"occupied": 255, "free": 1, "undecided": 128}
+    bytes_of = {"occupied": 255, "free": 1, "undecided": 128, "unknown": UNKNOWN_BYTE}
     return {name: "#" + colours[byte].tobytes().hex() for name, byte in bytes_of.items()}

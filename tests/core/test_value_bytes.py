@@ -117,6 +117,8 @@ def test_costmap_has_the_colours_of_rviz():
 
 
 def test_a_legend_names_colours():
-    assert legend("ros") == {"occupied": "#000000", "free": "#fefefe", "undecided": "#cdcdcd"}
-    assert legend("dark") == {"occupied": "#ebebeb", "free": "#3a3a3a", "undecided": "#282828"}
-    assert legend("costmap") == {"occupied": "#ff00ff", "free": "#303030", "undecided": "#7f0080"}
+    meanings = ("occupied", "free", "undecided", "unknown")
+    colours = {palette: tuple(legend(palette)[meaning] for meaning in meanings) for palette in COLOURS}
+    assert colours["ros"] == ("#000000", "#fefefe", "#cdcdcd", "#cdcdcd")
+    assert colours["dark"] == ("#ebebeb", "#3a3a3a", "#282828", "#1b1e22")
+    assert colours["costmap"] == ("#ff00ff", "#303030", "#7f0080", "#708986")

@@ -24,6 +24,7 @@ from ogm_services.runtime import endings
 from ogm_services.settings.settings import Settings
 
 ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "services" / "ogm_services" / "mapper" / "serving" / "page"
 README = "README.md"
 DOCS = tuple(sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 PAGES = (README, *DOCS, "CONTRIBUTING.md", "examples/README.md")
@@ -69,10 +70,14 @@ def test_table_of_routes(ogm):
     }
     assert documented == {**served, "GET /docs": set(), "GET /openapi.json": set()}
     assert mapper.get("docs")
-    page = mapper.get("").decode()
-    assert not re.search(r"https?://|src=|@import|url\(", page)
-    asked = set(re.findall(r'["`](/[a-z.]+)[?"`]', page))
-    assert {"/map.png", "/status", "/cell", "/quality"} <= asked <= {"/docs", *paths}
+    texts = [mapper.get("").decode(), *(file.read_text() for file in PAGE.glob("*.js"))]
+    assert not any(re.search(r'https?://|src="(?!\{static\}|static/)|@import|url\(', text) for text in texts)
+    asked = set(re.findall(r'(?:href=|\bask(?:Json)?\()["`]([a-z.]+)[?"`]', "".join(texts)))
+    assert (
+        {"map.png", "status", "cell", "quality", "tiles.json"}
+        <= asked
+        <= {"docs", *(path[1:] for path in paths)}
+    )
 
 
 def test_table_of_keys():

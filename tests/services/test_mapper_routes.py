@@ -205,6 +205,39 @@ def test_version_and_page(cross):
     assert re.findall(r"(?:https?:)?//[\w.-]+\.\w+", page.text) == []
 
 
+def test_the_page_is_found_below_any_path_and_caches_keep_its_files_for_good(cross):
+    page = cross.http.get("/")
+    assert "default-src 'self';" in page.headers["content-security-policy"]
+    assert "script-src" not in page.headers["content-security-policy"]
+    addresses = re.findall(r"""(?:href|src)=["'](?!data:)([^"']+)["']""", page.text)
+    assert len(addresses) >= 10
+    loaded = [address for address in addresses if address.startswith("static/")]
+    assert {address.rpartition("/")[2] for address in loaded} == {
+        "leaflet.js",
+        "leaflet.css",
+        "main.js",
+        "page.css",
+    }
+    for address in addresses:
+        assert urljoin("/robots/", address).startswith("/robots/")
+        answer = cross.http.get(urljoin("/", address)).raise_for_status()
+        if address in loaded:
+            assert answer.headers["cache-control"] == "public, max-age=31536000, immutable"
+    version = loaded[0].split("/")[1]
+    for gone in (
+        f"static/{version}/index.html",
+        f"static/{version}/none.js",
+        "static/0/main.js",
+        "static/main.js",
+    ):
+        assert cross.http.get(f"/{gone}").status_code == 404
+    scripts = [
+        cross.http.get(f"/static/{version}/{name}").text for name in ("main.js", "link.js", "tiles.js")
+    ]
+    # No address begins at the root.
+    assert [found for text in scripts for found in re.findall(r"""["'`]/\w[^"'`]*""", text)] == []
+
+
 def test_docs_load_nothing_from_elsewhere(cross):
     page = cross.http.get("/docs")
     assert page.headers["content-type"].startswith("text/html")

@@ -7,15 +7,18 @@ import subprocess
 import threading
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
 
 import pytest
 
 from ogm_core.status import RobotStatus, SourceStatus, encode_status
 from ogm_core.types import Pose
+from ogm_services.mapper.serving.page_routes import PageFiles
 from status_json import STATUS
 
-PAGE = files("ogm_services.mapper.serving") / "page" / "index.html"
+PAGE = PageFiles()
+TILES = {"epoch": "e1", "run": "r1", "revision": 41, "resolution": 0.05, "anchor": [0.0, 0.0], "extent": None}
+TILES |= {"palettes": ["ros"], "legend": {"ros": {"occupied": "#000000", "unknown": "#cdcdcd"}}}
+TYPES = {"js": "text/javascript", "css": "text/css", "json": "application/json"}
 QUALITY = {"scans": 0, "truth": None, "free_m2": 0.0, "occupied_m2": 0.0, "series": {"revision": []}}
 QUALITY |= {"consistency": {"hits": None, "free": None}}
 HERE = Pose(1.0, -2.5, 0.0)
@@ -30,7 +33,9 @@ def shown(tmp_path):
 
     def show(status):
         answers = {
-            "/": PAGE.read_bytes(),
+            "/": PAGE.document,
+            **{f"/static/{PAGE.version}/{name}": text for name, text in PAGE.texts.items()},
+            "/tiles.json": json.dumps({"name": "hall", "ogm": TILES}).encode(),
             "/status": encode_status(status),
             "/quality": json.dumps(QUALITY).encode(),
         }
@@ -39,7 +44,7 @@ def shown(tmp_path):
             def do_GET(self):
                 body = answers.get(self.path)
                 self.send_response(404 if body is None else 200)
-                self.send_header("Content-Type", "text/html" if self.path == "/" else "application/json")
+                self.send_header("Content-Type", TYPES.get(self.path.rpartition(".")[2], "text/html"))
                 self.end_headers()
                 self.wfile.write(body or b"")
 

@@ -312,7 +312,7 @@ def test_tilejson(cross):
     status = cross.status()
     answer = cross.http.get("/tiles.json")
     base = str(cross.http.base_url)
-    legend = {"occupied": "#000000", "free": "#fefefe", "undecided": "#cdcdcd"}
+    legend = {"occupied": "#000000", "free": "#fefefe", "undecided": "#cdcdcd", "unknown": "#cdcdcd"}
     told = answer.json()
     assert told["ogm"].pop("legend")["ros"] == legend
     assert told == {

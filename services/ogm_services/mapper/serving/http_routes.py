@@ -4,11 +4,10 @@ import importlib.metadata
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from importlib.resources import files
 from urllib.parse import unquote_plus
 
 from fastapi import FastAPI, Request, Response
-from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from fastapi.responses import JSONResponse, PlainTextResponse
 from fastapi_offline import FastAPIOffline
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
@@ -35,6 +34,7 @@ from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
+from ogm_services.mapper.serving.page_routes import add_page_routes
 from ogm_services.mapper.serving.query_routes import READS, add_query_routes
 from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
@@ -142,6 +142,7 @@ def build_app(
     status = _handler(shares.status, answers.status)
     add_get(app, "/status", status, responses("application/json", Status), "The mapper's status")
     add_query_routes(app, answers, ready, shares.maps)
+    add_page_routes(app)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     add_write_routes(app, writes, shares.writes)
@@ -154,11 +155,6 @@ def build_app(
 def _add_service_routes(
     app: FastAPI, turns: Turns, answers: Answers, health: Health, metrics: Metrics, version: str
 ) -> None:
-    page = files("ogm_services.mapper.serving").joinpath("page/index.html").read_text("utf-8")
-
-    async def show_page(_: Request) -> Response:
-        return HTMLResponse(page)
-
     async def livez(_: Request) -> Response:
         return _probe(health.not_alive())
 
@@ -172,7 +168,6 @@ def _add_service_routes(
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
 
-    add_get(app, "/", show_page, responses("text/html"), "The live page")
     add_get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
     add_get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
     add_get(app, "/metrics", show_metrics, responses("text/plain"), "Metrics for Prometheus")

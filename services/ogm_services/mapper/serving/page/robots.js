@@ -1,0 +1,19 @@
+// Robots by name: which are there, and which colour each has, the same in the panel and on the map.
+import {state} from "./state.js";
+
+const GONE_AFTER_S = 60;  // a robot that is not alive leaves so long after its last message
+
+const known = () => Object.keys({...state.status?.robots, ...state.robots}).sort();
+
+export const isGone = ({alive, age_s, pose, sources}) =>
+  !alive && (age_s === null ? !pose && !Object.keys(sources).length : age_s > GONE_AFTER_S);
+
+export const present = () => known().filter((name) => {
+  const told = state.status?.robots[name];
+  return !told || !isGone(told);
+});
+
+export const colour = (index) => `hsl(${(20 + 137.5 * index) % 360} 85% 40%)`;
+
+// The same whoever leaves.
+export const colourOf = (name) => colour(known().indexOf(name));

@@ -1,0 +1,18 @@
+// Figures as texts.
+
+export const percent = (share) => share === null ? "none" : `${(100 * share).toFixed(1)} %`;
+export const area = (value) => `${value.toFixed(1)} m²`;
+export const bits = (value) => `${value.toFixed(3)} bits`;
+
+export function duration(seconds) {
+  const units = [[86400, "d"], [3600, "h"], [60, "min"]].find(([length]) => seconds >= 2 * length) ?? [1, "s"];
+  return `${(seconds / units[0]).toFixed(units[0] > 1 ? 1 : 0)} ${units[1]}`;
+}
+
+// The largest of 1, 2, 5, 10, ... metres that is at most `most`.
+export function roundLength(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [5, 2, 1].find((digit) => digit * power <= most) * power;
+}
+
+export const metres = (length) => length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(1))} m`;

@@ -1,0 +1,71 @@
+"""Routes of the live page: the document, and the files that it loads, which are this program's own."""
+
+import hashlib
+from importlib.resources import files
+
+from fastapi import FastAPI, Request, Response
+from starlette.exceptions import HTTPException
+
+from ogm_services.mapper.serving.api_description import responses
+from ogm_services.mapper.serving.handlers import add_get
+
+STATIC_PATH = "/static/{version}/{name}"
+_PAGE = "index.html"
+_VERSIONED = "{static}"
+"""Stands in the document for where its files are."""
+_LEAFLET = ("leaflet.js", "leaflet.css")
+_MEDIA_TYPES = {"js": "text/javascript", "css": "text/css"}
+_FOR_GOOD = {"Cache-Control": "public, max-age=31536000, immutable", "X-Content-Type-Options": "nosniff"}
+PAGE_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
+        "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
+    ),
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Nothing is loaded from elsewhere, no script stands in the document; Leaflet sets styles of elements."""
+
+
+class PageFiles:
+    """What the page consists of: its document and its files, under a name that changes with any of them."""
+
+    def __init__(self) -> None:
+        """Read them all."""
+        folder = files("ogm_services.mapper.serving") / "page"
+        leaflet = files("js_lib_leaflet") / "static" / "js_lib_leaflet"
+        found = [*folder.iterdir(), *(leaflet / name for name in _LEAFLET)]
+        texts = {file.name: file.read_bytes() for file in sorted(found, key=lambda file: file.name)}
+        digest = hashlib.sha256()
+        for name, text in texts.items():
+            digest.update(f"{name} {len(text)} ".encode() + text)
+        self.version = digest.hexdigest()[:12]
+        page = texts.pop(_PAGE).decode()
+        self.document = page.replace(_VERSIONED, f"static/{self.version}").encode()
+        self.texts = {name: text for name, text in texts.items() if name.rpartition(".")[2] in _MEDIA_TYPES}
+
+    def response(self, version: str, name: str) -> Response:
+        """A file's; caches may keep it for good.
+
+        Raises:
+            HTTPException: there is no such file, or it is another version's.
+        """
+        if version != self.version or name not in self.texts:
+            raise HTTPException(404)
+        media_type = _MEDIA_TYPES[name.rpartition(".")[2]]
+        return Response(self.texts[name], media_type=media_type, headers=_FOR_GOOD)
+
+
+def add_page_routes(app: FastAPI) -> None:
+    """Add them. Every address in the page is relative to its own, which a proxy may have moved."""
+    page = PageFiles()
+
+    async def show_page(_: Request) -> Response:
+        return Response(page.document, media_type="text/html; charset=utf-8", headers=PAGE_HEADERS)
+
+    async def show_file(request: Request) -> Response:
+        return page.response(**request.path_params)
+
+    add_get(app, "/", show_page, responses("text/html"), "The live page")
+    for method in ("GET", "HEAD"):
+        app.add_api_route(STATIC_PATH, show_file, methods=[method], include_in_schema=False)
