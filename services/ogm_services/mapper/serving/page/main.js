@@ -1,44 +1,63 @@
 // The live page: makes its parts and tells them of each other.
 import {MapCanvas} from "./canvas.js";
 import {startCurves} from "./curves.js";
+import {Fitting} from "./fitting.js";
+import {startFollow} from "./follow.js";
+import {gridLayer} from "./grid.js";
 import {startLink} from "./link.js";
+import {measureLayer, startMeasure} from "./measure.js";
 import {namesLayer, robotsLayer} from "./overlay.js";
 import {startPalettes} from "./palettes.js";
 import {startPanel} from "./panel.js";
-import {startReadout} from "./readout.js";
+import {startPermalink} from "./permalink.js";
+import {pointLayer, startReadout} from "./readout.js";
 import {scaleLayer} from "./scale.js";
+import {scansLayer} from "./scans.js";
 import {state, subscribe} from "./state.js";
 import {element} from "./tables.js";
 import {Tiles} from "./tiles.js";
+import {startTools} from "./tools.js";
+import {forgetTrails, startTrails, trailsLayer} from "./trails.js";
 import {View, placesOf, tilesOf} from "./view.js";
 
-const page = {view: null, canvas: null, tiles: null, touched: false, state};
+const page = {view: null, canvas: null, tiles: null, fitting: null, state};
 let before = null;  // the map that was told of last
+let wanted = "";  // which tiles are
 
 // The map view begins when the mapper has said where the map lies.
 function start(told) {
-  page.view = new View(element("map"), told);
+  const view = page.view = new View(element("map"), told);
   page.tiles = new Tiles(() => page.canvas?.redraw());
-  page.canvas = new MapCanvas(page.view, page.tiles);
-  page.canvas.layers.push(robotsLayer, namesLayer, scaleLayer);
-  page.view.map.on("moveend resize", wantTiles);
-  element("map").addEventListener("pointerdown", () => { page.touched = true; });
-  element("map").addEventListener("wheel", () => { page.touched = true; });
-  startReadout(page.view);
+  const canvas = page.canvas = new MapCanvas(view, page.tiles), redraw = () => canvas.redraw();
+  canvas.layers.push(
+    gridLayer, trailsLayer, scansLayer, robotsLayer, namesLayer, measureLayer, pointLayer, scaleLayer);
+  page.fitting = new Fitting(view);
+  view.map.on("move zoom resize", wantTiles);
+  startMeasure(view, redraw);
+  page.unpin = startReadout(view, redraw);
+  startFollow(view);
+  startTools(page);
+  startPermalink(view);
 }
 
 function wantTiles() {
-  if (state.map.extent) page.tiles.want(placesOf(tilesOf(page.view.now(), devicePixelRatio, 1)));
+  if (!state.map.extent) return;
+  const rectangle = tilesOf(page.view.now(), devicePixelRatio, 1), asked = JSON.stringify(rectangle);
+  if (asked === wanted) return page.tiles.refresh();
+  wanted = asked;
+  page.tiles.want(placesOf(rectangle));
 }
 
 function follow(told) {
   if (!page.view) start(told);
   page.view.tell(told);
-  if (before && before.epoch !== told.epoch) page.tiles.forget();
-  else if (before && before.run !== told.run) page.tiles.forgetRevisions();
-  const grown = String(before?.extent) !== String(told.extent);
+  if (before && before.epoch !== told.epoch) {
+    page.tiles.forget();
+    page.fitting.forget();
+    forgetTrails();
+  } else if (before && before.run !== told.run) page.tiles.forgetRevisions();
   before = told;
-  if (told.extent && grown && !page.touched) page.view.fit(told.extent);
+  page.fitting.keep();
   wantTiles();
   page.canvas.redraw();
 }
@@ -46,8 +65,9 @@ function follow(told) {
 startPalettes();
 startPanel();
 startCurves();
+startTrails();
 subscribe("map", follow);
-subscribe("palette", () => { page.tiles?.forget(); page.view && wantTiles(); });
+subscribe("palette", () => { page.tiles?.forget(); if (page.view) wantTiles(); });
 for (const part of ["robots", "scans", "layers"]) subscribe(part, () => page.canvas?.redraw());
 globalThis.ogm = page;  // for who looks at it from the browser's console
 startLink();

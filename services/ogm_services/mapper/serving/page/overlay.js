@@ -4,7 +4,9 @@ import {state} from "./state.js";
 
 const FONT = "600 12px system-ui, sans-serif";
 
-export const ground = () => state.map?.legend?.[state.palette]?.unknown ?? "#cdcdcd";
+const colourFor = (meaning, otherwise) => state.map?.legend?.[state.palette]?.[meaning] ?? otherwise;
+export const ground = () => colourFor("unknown", "#cdcdcd");
+const free = () => colourFor("free", "#fefefe");
 
 // Whether what is drawn there has to be light.
 export function isDark(colour) {
@@ -12,14 +14,24 @@ export function isDark(colour) {
   return 0.3 * red + 0.6 * green + 0.1 * blue < 110;
 }
 
-// The colour of a robot on the map's ground.
-export const inkOf = (name) => isDark(ground()) ? colourOf(name).replace("40%", "66%") : colourOf(name);
+// The colour of a robot on the map, where it drives: on free cells.
+export const inkOf = (name) => isDark(free()) ? colourOf(name).replace("40%", "66%") : colourOf(name);
 
-export function outlined(pen, text, u, v, fillStyle) {
-  Object.assign(pen, {font: FONT, lineWidth: 4, lineJoin: "round", strokeStyle: ground(), fillStyle});
+export function outlined(pen, text, u, v, fillStyle, {size = "12px", halo = ground()} = {}) {
+  Object.assign(pen, {font: FONT.replace("12px", size), lineWidth: 4, lineJoin: "round", strokeStyle: halo, fillStyle});
   pen.strokeText(text, u, v);
   pen.fillText(text, u, v);
 }
+
+// A text beside a point, on the side where there is room for it.
+export function label(pen, text, [u, v], width, colour) {
+  pen.font = FONT;
+  const {width: length} = pen.measureText(text);
+  outlined(pen, text, u + 14 + length < width ? u + 10 : u - 10 - length, v - 8, colour, {halo: free()});
+}
+
+// The colour of what is drawn by hand.
+export const mark = () => isDark(free()) ? "#ffd43b" : "#c2255c";
 
 function arrow(pen, [u, v], theta, colour) {
   pen.save();
@@ -27,7 +39,7 @@ function arrow(pen, [u, v], theta, colour) {
   pen.rotate(-theta);
   pen.beginPath();
   pen.moveTo(11, 0); pen.lineTo(-7, 7); pen.lineTo(-3, 0); pen.lineTo(-7, -7); pen.closePath();
-  pen.strokeStyle = isDark(ground()) ? "#000" : "#fff"; pen.lineWidth = 2.5; pen.stroke();
+  pen.strokeStyle = free(); pen.lineWidth = 2.5; pen.stroke();
   pen.fillStyle = colour; pen.fill();
   pen.restore();
 }
@@ -49,10 +61,6 @@ export const robotsLayer = {
 export const namesLayer = {
   name: "names",
   draw(pen, view) {
-    pen.font = FONT;
-    for (const name of placed()) {
-      const [u, v] = view.toCanvas(...state.robots[name].pose), {width} = pen.measureText(name);
-      outlined(pen, name, u + 14 + width < view.width ? u + 10 : u - 10 - width, v - 8, inkOf(name));
-    }
+    for (const name of placed()) label(pen, name, view.toCanvas(...state.robots[name].pose), view.width, inkOf(name));
   },
 };

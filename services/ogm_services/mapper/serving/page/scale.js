@@ -1,4 +1,4 @@
-// The scale bar, and lines each so many metres.
+// The scale bar.
 import {ground, isDark, outlined} from "./overlay.js";
 import {metres, roundLength} from "./units.js";
 

@@ -8,8 +8,9 @@ export const state = {
   robots: {},     // by name: pose [x, y, theta] or null, stamp (ns), alive
   scans: {},      // by robot/sensor, the last one: stamp, pose of the sensor, angles, range_max, ranges
   palette: null,
-  layers: {},     // by name of a canvas layer: {shown, opacity}; one that is not named is shown
+  layers: {grid: {shown: false}},  // by name of a canvas layer: {shown, opacity}; others are shown
   followed: null,  // the robot that the view follows
+  tool: null,     // what clicks on the map are for: measure, ...; null: a point
 };
 
 const subscribers = new Map();

@@ -22,6 +22,9 @@ export class View {
       center: place(...told.anchor), zoom: 0,
     });
     this.told = told;
+    this.quiet = false;  // whether the page itself moves the view
+    this.touched = false;  // whether somebody has moved it
+    this.map.on("movestart zoomstart", () => { this.touched ||= !this.quiet; });
     if (still.matches) this.map.panBy = (by) => L.Map.prototype.panBy.call(this.map, by, {animate: false});
   }
 
@@ -32,19 +35,25 @@ export class View {
     if (told.resolution === resolution && told.anchor[0] === x && told.anchor[1] === y) return;
     const {map} = this, centre = map.getCenter(), zoom = map.getZoom();
     map.options.crs = crsOf(told);
-    map.setView(centre, zoom, {animate: false, reset: true});
+    this.quietly(() => map.setView(centre, zoom, {animate: false, reset: true}));
+  }
+
+  // What the page does to the view is nobody's wish to keep it as it is.
+  quietly(move) {
+    this.quiet = true;
+    try { move(); } finally { this.quiet = false; }
   }
 
   // Show all of a region [xmin, ymin, xmax, ymax], with some room for what lies over the map.
   fit([x0, y0, x1, y1]) {
-    const {x: width} = this.map.getSize(), side = width > 500 ? 60 : 20;
-    this.map.fitBounds([[y0, x0], [y1, x1]], {
-      animate: false, maxZoom: 3, paddingTopLeft: [side, 24], paddingBottomRight: [24, 36],
-    });
+    const {x: width} = this.map.getSize(), wide = width > 500;
+    this.quietly(() => this.map.fitBounds([[y0, x0], [y1, x1]], {
+      animate: false, maxZoom: 4, paddingTopLeft: wide ? [60, 24] : [12, 60], paddingBottomRight: wide ? [24, 36] : [12, 40],
+    }));
   }
 
-  centreOn(x, y) {
-    this.map.setView(place(x, y), this.map.getZoom(), {animate: false});
+  centreOn(x, y, zoom = this.map.getZoom()) {
+    this.quietly(() => this.map.setView(place(x, y), zoom, {animate: false}));
   }
 
   // Where everything lies on the canvas now; u to the right and v down, CSS pixels.

@@ -1,0 +1,26 @@
+// The view in the page's address, as #z/x/y: z as of tiles (16: a pixel a cell), x and y of the middle in metres.
+import {LEVELS, NATIVE_Z} from "./view.js";
+
+export function viewIn(hash) {
+  const parts = hash.replace(/^#/, "").split("/").map((part) => part.trim() === "" ? NaN : Number(part));
+  if (parts.length !== 3 || !parts.every(Number.isFinite)) return null;
+  const [z, x, y] = parts;
+  return z >= NATIVE_Z - LEVELS && z <= NATIVE_Z + LEVELS ? {zoom: z - NATIVE_Z, x, y} : null;
+}
+
+export function startPermalink(view) {
+  const go = () => {
+    const wanted = viewIn(location.hash);
+    if (!wanted) return;
+    view.centreOn(wanted.x, wanted.y, wanted.zoom);
+    view.touched = true;
+  };
+  view.map.on("moveend", () => {
+    if (!view.touched) return;
+    const {lat: y, lng: x} = view.map.getCenter(), z = NATIVE_Z + view.map.getZoom();
+    const hash = `#${Number(z.toFixed(2))}/${x.toFixed(2)}/${y.toFixed(2)}`;
+    if (hash !== location.hash) history.replaceState(null, "", hash);
+  });
+  addEventListener("hashchange", go);
+  go();
+}
