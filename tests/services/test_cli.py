@@ -23,7 +23,7 @@ MAP_FLAGS = (
     "--clear-range --cells --bounds --outside --half-life --sensor"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
-HTTP_FLAGS = "--http-host --http-port --http-hosts --http-token-file"
+HTTP_FLAGS = "--http-host --http-port --http-hosts --root-path --http-token-file"
 MAPPER_FLAGS = "--data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = (

@@ -16,6 +16,7 @@ from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.live import load
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe, HttpThread
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS
@@ -46,7 +47,9 @@ def ask(method, path, *, alive=True, ready=True, reset=refuse):
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
     shares = Shares(waiting=4)
     writes = dict.fromkeys(("reset", "erase", "save", "restore", "delete"), reset)
-    app = build_app(BrokenAnswers(), health, writes, Metrics(), hosts=["mapper"], shares=shares)
+    app = build_app(
+        BrokenAnswers(), health, writes, Metrics(), access=HttpAccess(hosts=("mapper",)), shares=shares
+    )
 
     async def send():
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)

@@ -65,7 +65,8 @@ def certificate(folder):
 @pytest.fixture(scope="module")
 def mapper(start_mapper):
     """A mapper that knows the proxy's name, and wants a token for writes."""
-    with start_mapper(map={"resolution": 0.5}, http={"port": 0, "hosts": [NAME], "token": TOKEN}) as mapper:
+    http = {"port": 0, "hosts": [NAME], "forwarded_allow_ips": ["127.0.0.1"], "token": TOKEN}
+    with start_mapper(map={"resolution": 0.5}, http=http) as mapper:
         mapper.draw_cross()
         yield mapper
 
@@ -134,6 +135,12 @@ def test_the_map_and_the_page_come_through_tls(proxy, mapper):
     assert proxy.get("/status").json()["revision"] == 3
     etag = proxy.get("/map.json").headers["ETag"]
     assert proxy.get("/map.json", headers={"If-None-Match": etag}).status_code == 304
+
+
+def test_tiles_are_described_by_the_address_that_was_asked_for(proxy):
+    for stranger in ({}, {"X-Forwarded-Prefix": "/evil", "X-Forwarded-Host": "localhost"}):
+        (tiles,) = proxy.get("/tiles.json", headers=stranger).json()["tiles"]
+        assert tiles == f"https://{proxy.headers['Host']}/tiles/{{z}}/{{x}}/{{y}}.png"
 
 
 def test_the_certificate_is_the_one_that_was_made(proxy):

@@ -26,6 +26,7 @@ from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
+from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_connection import HttpLimits
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
@@ -151,7 +152,7 @@ class MapperService:
         self._settings = settings
         self._last_map = last_map or LastMap(None)
         self._stop_until = math.inf
-        self._token = settings.http.write_token()
+        self._access = HttpAccess.of(settings.http)
         self.parts = parts = Parts(settings)
         self.live_map, self.answers, self.memory = parts.live_map, parts.answers, parts.memory
         self._started = time.monotonic()
@@ -265,7 +266,7 @@ class MapperService:
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)
         host, port = listener.getsockname()[:2]
-        if self._token is None and not ipaddress.ip_address(host).is_loopback:
+        if self._access.token is None and not ipaddress.ip_address(host).is_loopback:
             log.warning(
                 "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file",
                 host,
@@ -282,11 +283,9 @@ class MapperService:
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
-        http = self._settings.http
         app = build_app(
             *(self.answers, self.parts.health, self.parts.writes.by_name(), self.parts.metrics),
-            hosts=(*http.hosts, http.host),
-            token=self._token,
+            access=self._access,
             shares=self._http_shares,
             in_flight=self.parts.in_flight,
         )

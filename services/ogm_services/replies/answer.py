@@ -67,6 +67,12 @@ class BadHost(BadInput):
     slug = "bad-host"
 
 
+class BadForwarded(BadInput):
+    """What a proxy says of a request is not of the form that it has."""
+
+    slug = "bad-forwarded"
+
+
 class ForeignHost(OgmError):
     """A request asks for a host that is not this one."""
 

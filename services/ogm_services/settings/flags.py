@@ -184,6 +184,10 @@ class HttpFlags(_SettingFlags):
             "Names that HTTP is asked by, besides the machine's own, separated by commas",
         ),
     ] = None
+    root_path: Annotated[
+        str | None,
+        _setting("http", "root_path", "PATH", "Path that a reverse proxy serves all of it under"),
+    ] = None
     token_file: Annotated[
         str | None,
         _setting("http", "token_file", "FILE", "File with the bearer token that guards writes over HTTP"),

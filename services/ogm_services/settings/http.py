@@ -20,6 +20,8 @@ from ogm_services.settings.values import (
     TOKEN,
     TOKEN_FORM,
     HostNames,
+    Networks,
+    RootPath,
     Token,
     WholeNumber,
     address_without_port,
@@ -47,13 +49,16 @@ def token_in(path: Path, given_as: str) -> bytes:
 class HttpSettings(Section):
     """Where the mapper serves HTTP, under which names, and the token that guards writes.
 
-    Port 0 picks a free one. `hosts` are names besides the machine's own. `token_file` holds the token, on one
-    line; a relative path starts at the working folder.
+    Port 0 picks a free one. `hosts` are names besides the machine's own. `root_path` is the path that all of
+    it is served under, `forwarded_allow_ips` are the proxies whose X-Forwarded-* are believed. `token_file`
+    holds the token, on one line; a relative path starts at the working folder.
     """
 
     host: Annotated[str, AfterValidator(address_without_port)] = "127.0.0.1"
     port: Annotated[WholeNumber, Field(ge=0, le=65535)] = 8000
     hosts: HostNames = ()
+    root_path: Annotated[RootPath | None, NONE] = None
+    forwarded_allow_ips: Networks = ()
     token: Annotated[Token | None, NONE] = None
     token_file: Annotated[FilePath | None, NONE] = None
 

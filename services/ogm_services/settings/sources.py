@@ -25,6 +25,10 @@ SECRET = frozenset({("http", "token")})
 """Their values are shown nowhere."""
 
 
+_FLAGS = {("network", "map_name"): "--map", ("http", "root_path"): "--root-path"}
+"""The flags that are not their keys' names; --root-path is called so by the servers that have one."""
+
+
 class _Given(NamedTuple):
     """A value as some source gives it, and how the user knows that source."""
 
@@ -121,8 +125,8 @@ def _by_present_names(source: _Source, tell: Callable[[str], None]) -> _Source:
 
 def flag_name(section: str, key: str) -> str:
     """The flag of the command line that gives a setting."""
-    if (section, key) == ("network", "map_name"):
-        return "--map"
+    if (section, key) in _FLAGS:
+        return _FLAGS[section, key]
     prefix = f"{section}-" if section in ("http", "log") else ""
     return f"--{prefix}{key.replace('_', '-')}"
 

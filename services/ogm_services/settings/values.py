@@ -46,6 +46,9 @@ TOKEN = re.compile(r"[A-Za-z0-9\-._~+/]{16,512}=*")
 """A bearer token (RFC 6750, section 2.1); shorter ones are soon guessed."""
 TOKEN_FORM = "a token of 16 to 512 letters, digits and - . _ ~ + /"
 
+ROOT_PATH = re.compile(r"(/(?!\.{1,2}(/|$))[A-Za-z0-9._~\-]+)+")
+ROOT_PATH_FORM = "a path such as /maps/hall, without a slash at its end"
+
 
 def parse_number(text: str) -> float:
     """A number in decimal digits; float alone would also take what only Python writes so, such as 1_0 for 10.
@@ -160,6 +163,21 @@ def _host_name(value: str) -> str:
     return value
 
 
+def _root_path(value: str) -> str:
+    if not ROOT_PATH.fullmatch(value):
+        raise ValueError(f"{ROOT_PATH_FORM}, is needed")
+    return value
+
+
+def _network(value: str) -> str:
+    try:
+        return str(ipaddress.ip_network(value)).removesuffix("/32").removesuffix("/128")
+    except ValueError:
+        raise ValueError(
+            "addresses and networks in digits are needed, such as 127.0.0.1 or 10.0.0.0/8"
+        ) from None
+
+
 def _token(value: SecretStr) -> SecretStr:
     if not TOKEN.fullmatch(value.get_secret_value()):
         raise ValueError(f"{TOKEN_FORM} is needed")
@@ -186,5 +204,7 @@ Endpoint = Annotated[str, AfterValidator(_endpoint)]
 HostNames = Annotated[
     tuple[Annotated[str, AfterValidator(_host_name)], ...], BeforeValidator(_list_from_text)
 ]
+RootPath = Annotated[str, AfterValidator(_root_path)]
+Networks = Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], BeforeValidator(_list_from_text)]
 Token = Annotated[SecretStr, AfterValidator(_token)]
 Endpoints = Annotated[tuple[Endpoint, ...], BeforeValidator(_list_from_text)]

@@ -2,7 +2,7 @@
 
 import importlib.metadata
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from urllib.parse import unquote_plus
 
@@ -25,10 +25,12 @@ from ogm_services.mapper.serving.api_description import (
     responses,
 )
 from ogm_services.mapper.serving.bearer_token import BearerToken
+from ogm_services.mapper.serving.behind_proxies import BehindProxies, WholePath, check_root_path
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.in_pieces import InPieces
-from ogm_services.mapper.serving.known_hosts import KnownHosts
+from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
@@ -95,15 +97,16 @@ def build_app(
     writes: Mapping[Write, DoWrite],
     metrics: Metrics,
     *,
-    hosts: Sequence[str] = (),
-    token: bytes | None = None,
+    access: HttpAccess,
     shares: Shares,
     in_flight: InFlight | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
 
-    `hosts` are names by which it is asked, besides the machine's own; with a `token` writes must carry it.
     Its threads are those of `shares`, which belong to the caller. `in_flight` counts what is being sent.
+
+    Raises:
+        BadSetting: the path that it is served under has routes of its own.
     """
     version = importlib.metadata.version("zenoh-ogm")
     app = FastAPIOffline(
@@ -114,16 +117,20 @@ def build_app(
     )
     ready = ReadyMaps(answers)
     answers.count_cache(ready)
-    app.add_middleware(BearerToken, token=token, reads=READS)
+    names = OwnNames(access.hosts)
+    app.add_middleware(WholePath)
+    app.add_middleware(BearerToken, token=access.token, reads=READS)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
     app.add_middleware(_WithoutUnheard)
     app.add_middleware(InPieces, in_flight=in_flight or InFlight())
-    app.add_middleware(KnownHosts, names=hosts)
+    app.add_middleware(KnownHosts, names=names)
     app.add_middleware(RefusedHttp)
-    # The last one is the first that a request meets.
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
+    if access.root_path or access.proxies:
+        app.add_middleware(BehindProxies, names=names, routes=app.routes, access=access)
+    # The last one is the first that a request meets.
     for form, wanted in MAP_FORMATS.items():
         handler, summary = _map_handler(shares.maps, answers, ready, form), f"The map as {form.upper()}"
         described = map_responses(wanted.media_type)
@@ -146,6 +153,7 @@ def build_app(
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     add_write_routes(app, writes, shares.writes)
+    check_root_path(access.root_path, app.routes, "http.root_path")
     app.add_exception_handler(OgmError, _ogm_error)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(Exception, _bug)

@@ -59,7 +59,8 @@ class ReadyMaps:
         """The response to a request, kept if the map is still the same."""
         now = self._answers.now()
         if ready.of[:3] == now[:3]:
-            asked = request.scope["path"], request.scope["query_string"]
+            path = request.scope["path"].removeprefix(request.scope.get("root_path", ""))
+            asked = path, request.scope["query_string"]
             size = ready.size + sum(map(len, asked)) + BYTES_BESIDES
             room = self._answers.cache_room
             with self._keeping:

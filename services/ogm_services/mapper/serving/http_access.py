@@ -1,0 +1,35 @@
+"""Access over HTTP: by which names, through whom, and with what the mapper is asked."""
+
+from dataclasses import dataclass
+from typing import Self
+
+from ogm_services.settings.http import HttpSettings
+
+
+@dataclass(frozen=True)
+class HttpAccess:
+    """Settings of HTTP, as far as they say who is answered.
+
+    `hosts` are names by which it is asked, besides the machine's own; `root_path` is the path under which a
+    proxy serves it, and `proxies` are the addresses and networks of those that are believed; with a `token`
+    writes must carry it.
+    """
+
+    hosts: tuple[str, ...] = ()
+    root_path: str = ""
+    proxies: tuple[str, ...] = ()
+    token: bytes | None = None
+
+    @classmethod
+    def of(cls, settings: HttpSettings) -> Self:
+        """What the settings say.
+
+        Raises:
+            BadSetting: the file of the token cannot be read, or holds none.
+        """
+        return cls(
+            hosts=(*settings.hosts, settings.host),
+            root_path=settings.root_path or "",
+            proxies=settings.forwarded_allow_ips,
+            token=settings.write_token(),
+        )
