@@ -58,7 +58,7 @@ def test_table_of_settings():
 def test_table_of_routes(ogm):
     documented = {
         _quoted(route)[0]: set(_quoted(parameters))
-        for page in (README, "docs/queries.md")
+        for page in (README, "docs/queries.md", "docs/security.md")
         for route, parameters, _ in _table(page, "route")
     }
     mapper = ogm.ready(ogm.mapper())

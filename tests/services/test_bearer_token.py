@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from ogm_client import BadSetting, MapClient, MapperError
-from ogm_services.mapper.serving import bearer_token as bearer_token_module
+from ogm_services.mapper.serving import write_access as write_access_module
 from ogm_services.settings.settings import Settings
 
 TOKEN = "correct-horse.battery~staple+0/8=="
@@ -103,9 +103,9 @@ def test_a_page_of_another_origin_may_not_even_with_it(guarded):
 
 
 def test_it_is_compared_in_the_same_time_whichever_byte_differs(guarded, monkeypatch):
-    compared, compare = [], bearer_token_module.hmac.compare_digest
+    compared, compare = [], write_access_module.hmac.compare_digest
     monkeypatch.setattr(
-        bearer_token_module.hmac, "compare_digest", lambda *both: compared.append(both) or compare(*both)
+        write_access_module.hmac, "compare_digest", lambda *both: compared.append(both) or compare(*both)
     )
     post(guarded, RIGHT), post(guarded, "Bearer x")
     assert compared == [(TOKEN.encode(), TOKEN.encode()), (b"x", TOKEN.encode())]

@@ -17,6 +17,7 @@ ROUTES = [*MAPS, "/cell", "/quality", "/status", "/livez", "/readyz", "/metrics"
 TILES = "/tiles/{z}/{x}/{y}.png"
 LAYERS = ["/distance.png", "/distance.npz", "/inflate.png", "/inflate.npz"]
 QUERIES = {"/raycast": "get", "/check": "post", **dict.fromkeys(LAYERS, "get")}
+LOG_INS = {"/login": {"get", "post"}, "/logout": {"post"}}
 WRITES = {
     "/reset": "post",
     "/erase": "post",
@@ -287,9 +288,10 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
     assert document["openapi"].startswith("3.")
     assert document["info"]["title"] == "zenoh-ogm mapper"
     paths = document["paths"]
-    assert set(paths) == {*ROUTES, TILES, "/snapshots", *QUERIES, *WRITES}
+    assert set(paths) == {*ROUTES, TILES, "/snapshots", *QUERIES, *WRITES, *LOG_INS}
     assert {path: set(item) for path, item in paths.items() if set(item) != {"get"}} == {
-        path: {method} for path, method in {**WRITES, "/check": "post"}.items()
+        **{path: {method} for path, method in {**WRITES, "/check": "post"}.items()},
+        **LOG_INS,
     }
     named = {
         path: {parameter["name"] for parameter in item["get"].get("parameters", [])}

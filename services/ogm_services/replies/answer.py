@@ -85,6 +85,16 @@ class Unauthorized(OgmError):
     slug = "unauthorized"
 
 
+class TooManyGuesses(OgmError):
+    """So many wrong tokens came from an address that no more is looked at for `wait` s."""
+
+    slug = "too-many-guesses"
+
+    def __init__(self, text: str, wait: int) -> None:
+        super().__init__(text)
+        self.wait = wait
+
+
 class Busy(OgmError):
     """So many questions wait for an answer already that no more are taken."""
 

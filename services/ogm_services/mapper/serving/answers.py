@@ -204,6 +204,11 @@ class Answers:
         return self._tiles.description(self._map_name, base)
 
     @property
+    def saves(self) -> bool:
+        """Whether maps can be saved here."""
+        return self._saved is not None
+
+    @property
     def saved(self) -> SavedMaps:
         """The maps that are saved.
 

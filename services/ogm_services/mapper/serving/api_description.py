@@ -87,6 +87,7 @@ _PROBLEMS = {
     412: "The map is not the one that If-Match names",
     413: "The body is longer than a write's may be",
     421: "The Host header is no name of this mapper",
+    429: "Too many wrong tokens came from this address: Retry-After says when to try again",
     503: "The mapper is starting, stopping or busy: Retry-After says when to ask again; or it stores no map",
     507: "The disk is full",
 }

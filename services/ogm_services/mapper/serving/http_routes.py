@@ -31,6 +31,7 @@ from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.in_pieces import InPieces
 from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
+from ogm_services.mapper.serving.login_routes import LOG_IN_PATHS, add_login_routes
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
@@ -44,6 +45,7 @@ from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.tile_routes import add_tile_routes
+from ogm_services.mapper.serving.write_access import WriteAccess
 from ogm_services.mapper.serving.write_routes import add_write_routes
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
@@ -119,7 +121,8 @@ def build_app(
     answers.count_cache(ready)
     names = OwnNames(access.hosts)
     app.add_middleware(WholePath)
-    app.add_middleware(BearerToken, token=access.token, reads=READS)
+    write_access = WriteAccess(access.token)
+    app.add_middleware(BearerToken, access=write_access, reads=READS | LOG_IN_PATHS)
     app.add_middleware(SameOrigin)
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
@@ -153,6 +156,7 @@ def build_app(
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
     add_write_routes(app, writes, shares.writes)
+    add_login_routes(app, write_access, answers)
     check_root_path(access.root_path, app.routes, "http.root_path")
     app.add_exception_handler(OgmError, _ogm_error)
     app.add_exception_handler(HTTPException, _http_error)

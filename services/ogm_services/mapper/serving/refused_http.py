@@ -13,6 +13,7 @@ from ogm_services.runtime.limited_log import LimitedLog
 _WHY = {
     401: "without the mapper's token, or with a wrong one",
     403: "by a page of another origin",
+    429: "after too many wrong tokens",
     421: "under a name that the mapper does not go by",
 }
 

@@ -13,9 +13,11 @@ from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Parameters
 from ogm_services.replies.turns import Turns
 
-_OF_WRITES = (401, 403, 413, 503)
+_OF_WRITES = (401, 403, 413, 429, 503)
 _PARAMETERS: Mapping[Write, Sequence[str]] = {"reset": (), "erase": ("region", "polygon")}
 """Of the others it is the name of a saved map."""
+WITHOUT_STORE: frozenset[Write] = frozenset({"reset", "erase"})
+"""What a mapper can do that stores no map."""
 
 
 def add_write_routes(app: FastAPI, writes: Mapping[Write, DoWrite], turns: Turns) -> None:

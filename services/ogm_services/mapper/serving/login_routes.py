@@ -1,0 +1,121 @@
+"""Routes of log-ins: what a page asks to know whether it may write, and where it gives the token once."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, get_args
+
+import orjson
+from fastapi import FastAPI, Request, Response
+from starlette.types import Scope
+
+from ogm_core.errors import BadParameter
+from ogm_core.wire.keys import Write
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.api_description import responses
+from ogm_services.mapper.serving.bearer_token import challenge
+from ogm_services.mapper.serving.handlers import Handler, add_get, parameters_of
+from ogm_services.mapper.serving.refusals import refusal
+from ogm_services.mapper.serving.write_access import WriteAccess
+from ogm_services.mapper.serving.write_routes import WITHOUT_STORE
+from ogm_services.replies.answer import Unauthorized
+
+LOGIN, LOGOUT = "/login", "/logout"
+LOG_IN_PATHS = frozenset({LOGIN, LOGOUT})
+"""They are asked by POST, and need no token that is given before."""
+_FORM = 'body: a JSON object is needed: {"token": "..."}'
+_BODY = {
+    "required": True,
+    "content": {
+        "application/json": {
+            "schema": {
+                "type": "object",
+                "required": ["token"],
+                "additionalProperties": False,
+                "properties": {"token": {"type": "string", "maxLength": 512}},
+            }
+        }
+    },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LoginState:
+    """Whether who asks may write, and what there is to write.
+
+    `token_needed`: not everybody may; `logged_in`: by the cookie that came with the request; `may_write`: by
+    that, by the token that came with it, or because none is needed; `writes`: what this mapper can do.
+    """
+
+    token_needed: bool
+    logged_in: bool
+    may_write: bool
+    writes: list[str]
+
+
+def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> None:
+    """Add them; `answers` know whether maps can be saved."""
+
+    def state(scope: Scope, *, logged_in: bool) -> Response:
+        may_write = logged_in or access.problem(scope) is None
+        writes = [name for name in get_args(Write) if answers.saves or name in WITHOUT_STORE]
+        told = LoginState(access.token_needed, logged_in, may_write, writes)
+        return Response(orjson.dumps(asdict(told)), media_type="application/json")
+
+    async def show(request: Request) -> Response:
+        parameters_of(request, allowed=False)
+        return state(request.scope, logged_in=access.log_ins.has(request.scope))
+
+    async def log_in(request: Request) -> Response:
+        parameters_of(request, allowed=False)
+        token = _token_in(await request.body())
+        if not access.token_needed:
+            return state(request.scope, logged_in=False)
+        error = access.problem_of(request.scope, token)
+        if error is not None:
+            if isinstance(error, Unauthorized):
+                error = Unauthorized(f"POST {LOGIN}: refused: {error}")
+            return refusal(error, challenge(invalid=True))
+        response = state(request.scope, logged_in=True)
+        response.headers["Set-Cookie"] = access.log_ins.begin(request.scope)
+        return response
+
+    async def log_out(request: Request) -> Response:
+        parameters_of(request, allowed=False)
+        forgotten = access.log_ins.end(request.scope)
+        response = state(request.scope, logged_in=False)
+        response.headers["Set-Cookie"] = forgotten
+        return response
+
+    said = responses("application/json", LoginState, problems=(429,))
+    add_get(app, LOGIN, show, said, "Whether who asks may write, and what there is to write")
+    summary = "Get a cookie for the token, with which a page may write"
+    _add_post(app, LOGIN, log_in, summary, (401, 403, 413, 429), {"requestBody": _BODY})
+    _add_post(app, LOGOUT, log_out, "Make that cookie void", (403, 413))
+
+
+def _add_post(
+    app: FastAPI,
+    path: str,
+    handler: Handler,
+    summary: str,
+    problems: tuple[int, ...],
+    described: dict[str, Any] | None = None,
+) -> None:
+    app.add_api_route(
+        path,
+        handler,
+        methods=["POST"],
+        summary=summary,
+        response_class=Response,
+        responses=responses("application/json", LoginState, problems=problems),
+        openapi_extra=described,
+    )
+
+
+def _token_in(body: bytes) -> bytes:
+    try:
+        given = orjson.loads(body)
+    except orjson.JSONDecodeError:
+        raise BadParameter(_FORM) from None  # without what was sent, which may be the token
+    if not isinstance(given, dict) or set(given) != {"token"} or not isinstance(given["token"], str):
+        raise BadParameter(_FORM)
+    return given["token"].encode()
