@@ -157,7 +157,7 @@ class MapGrid(GridQueries):
             MapEmpty: there is no cell to draw.
             BadParameter: no such palette, or `max_size` is below 1.
         """
-        snap = self._snapshot()
+        snap = self.to_snapshot()
         return encode_png(snap if max_size is None else snap.shrink(max_size), palette)
 
     def save_png(
@@ -202,10 +202,16 @@ class MapGrid(GridQueries):
             OSError: the files cannot be written; what was there before is still there.
         """
         picture, target = ros_map_names(Path(path))
-        snap = self._snapshot()
+        snap = self.to_snapshot()
         encoded = encode_pgm(snap)
         description = encode_yaml(snap, picture.name, encoded)
         write_files({picture: encoded, target: description})
+
+    def to_snapshot(self) -> MapSnapshot:
+        """The map as `ogm_core` has it, to cut, shrink and encode it; its cells are float64 log odds."""
+        # As the core stores them: a known log odds of zero is -0.0, unknown +0.0.
+        exact = self.log_odds.astype(np.float64)
+        return self._snapshot_of(np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0))
 
     @property
     def _lattice(self) -> Lattice:
@@ -213,12 +219,7 @@ class MapGrid(GridQueries):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return html_of(self._snapshot())
-
-    def _snapshot(self) -> MapSnapshot:
-        """The same cells as the core stores float64 ones: a known log odds of zero is -0.0, unknown +0.0."""
-        exact = self.log_odds.astype(np.float64)
-        return self._snapshot_of(np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0))
+        return html_of(self.to_snapshot())
 
     def _snapshot_of(self, cells: StoredCells) -> MapSnapshot:
         model = LogOdds(cells="float64")

@@ -16,6 +16,7 @@ from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.erase import erase
+from ogm_services.commands.foxglove_flags import foxglove
 from ogm_services.commands.log_flags import LogFlags, check_replayed
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
@@ -373,6 +374,7 @@ def status(
 
 
 app.command(rich_help_panel=RUNNING)(erase)
+app.command(rich_help_panel=RUNNING)(foxglove)
 
 
 @app.command(rich_help_panel=FILES)

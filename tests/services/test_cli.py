@@ -49,6 +49,7 @@ FLAGS = {
         for write in ("save", "restore", "delete")
     },
     "erase": "--region --polygon --json --token-file --url --map --zenoh-config --config",
+    "foxglove": f"--host --port --layout --url --map --zenoh-config --config {SERVICE_FLAGS}",
     "ros2": "--list --json --dds --interface --zenoh --domain --scan-topic --cloud-topic --z-band --bins "
     "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --publish-map "
     f"--publish-probabilities --robot --sensor --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
@@ -105,7 +106,7 @@ def test_help_lists_commands_by_what_they_work_on(ogm):
     shown = re.findall(r"^(?:╭─ (.+?) ─+╮|│ ([a-z]\w+) )", ogm("--help").stdout, re.MULTILINE)
     assert " ".join(panel or command for panel, command in shown) == (
         "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
-        "A running mapper and its map get status erase snapshot "
+        "A running mapper and its map get status erase foxglove snapshot "
         "Recordings and stored maps, without network build info repair"
     )
 
