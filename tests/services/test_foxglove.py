@@ -337,9 +337,9 @@ def test_robots_that_are_gone_are_taken_away(eventually):
             viewer.subscribe("/robots")
             eventually(robots._scene.has_sinks)
             heard = Heard()
-            heard.add(*pose_message("r2", 5.0))
+            heard.add(*pose_message("r2", 4.0))
             robots.step(heard, here, 100.0)
-            assert arrows(viewer.next("/robots")) == ({"r1": (1.0, 2.0), "r2": (5.0, 0.0)}, [])
+            assert arrows(viewer.next("/robots")) == ({"r1": (1.0, 2.0), "r2": (4.0, 0.0)}, [])
             robots.step(Heard(), {"r2": gone_after(61.0)}, 159.0)  # heard less than a minute ago
             assert arrows(viewer.next("/robots")) == ({}, ["r1"])
             robots.step(Heard(), {"r2": gone_after(61.0)}, 161.0)
