@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.compiled import compiled
 from ogm_core.cells.forgetting import MapTime
 from ogm_core.cells.model import CellModel, Planes
 from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, OutsideBounds
@@ -44,7 +45,7 @@ class OccupancyGrid:
         """
         self.settings = settings
         self.run = run
-        self.model: CellModel = settings.cell_model
+        self.model: CellModel = compiled(settings.cell_model)
         self.max_bytes = settings.max_bytes
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
         self.lattice, self.bounds = settings.lattice, settings.bounds_rect
@@ -73,8 +74,13 @@ class OccupancyGrid:
 
     @property
     def rect(self) -> CellRect:
-        """What is served: the bounds, or else the smallest rectangle that holds every known cell."""
-        return self.bounds or self._known or CellRect(0, 0, 0, 0)
+        """What is served: the bounds, or else the smallest rectangle that holds every known cell.
+
+        It holds every cell that was written, with as many more on every side as its model may know of.
+        """
+        if self.bounds is not None or self._known is None:
+            return self.bounds or CellRect(0, 0, 0, 0)
+        return self._known.widened(self.model.spread) if self.model.spread else self._known
 
     def begin_with(self, planes: Planes, offset: tuple[int, int] = (0, 0)) -> None:
         """Fill an empty map: its model's planes, [iy, ix]; the first cell is `offset` of the lattice.

@@ -151,6 +151,17 @@ class MapSnapshot:
         offset = self.offset[0] + columns.start * self.factor, self.offset[1] + rows.start * self.factor
         return replace(self, stored=self.stored.part(rows, columns), offset=offset)
 
+    def finest(self) -> "MapSnapshot":
+        """The map in the cells that tell most of it: half as wide, if its model has those; else itself."""
+        halved = self.model.halved(self.stored) if self.factor == 1 else None
+        if halved is None:
+            return self
+        model, stored = halved
+        lattice = Lattice(self.lattice.resolution / 2, self.lattice.anchor)
+        return replace(
+            self, stored=stored, model=model, lattice=lattice, offset=(2 * self.offset[0], 2 * self.offset[1])
+        )
+
     def shrink(self, max_size: int) -> "MapSnapshot":
         """The map with square blocks of cells in place of cells, by the smallest whole factor that fits.
 

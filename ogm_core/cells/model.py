@@ -83,12 +83,25 @@ class CellEvidence(Protocol):
         another update needs another dtype there. The plane has one number a cell.
         """
 
+    def update_planes(
+        self,
+        store: Any,  # noqa: ANN401 - a TileStore
+        window: Any,  # noqa: ANN401 - a CellRect
+        revision: int,
+        names: tuple[str, ...],
+    ) -> int:
+        """Count in several planes at once: of evidence for models that take `lengths`."""
+
 
 class CellModel(ABC):
     """What every model gives; a new one says its planes, its update, its probabilities and its blocks."""
 
     sensor_models: frozenset[str] = frozenset({"beam", "sector"})
     """Whose evidence it takes."""
+    lengths: bool = False
+    """Whether it takes lengths of passing (sensor_models.passing), not cells along a traversal."""
+    spread: int = 0
+    """How many cells around a written one may be known."""
     margin: int = 0
     """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
     forgets: bool = False
@@ -166,6 +179,10 @@ class CellModel(ABC):
         parts = (self.published(source.planes(rows, margin=self.margin)) for rows in row_bands(source.shape))
         values = np.concatenate([np.empty(0), *(p[known] for p, known in parts)])
         return np.unique(values, return_counts=True)
+
+    def halved(self, source: CellSource) -> "tuple[CellModel, CellSource] | None":
+        """The map in cells half as wide, and their model; None if that would tell no more."""
+        return None
 
     @abstractmethod
     def pooled(self, source: CellSource, factor: int) -> "tuple[CellModel, Planes]":

@@ -35,6 +35,14 @@ _LONGEST_PIECE = 4000
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def slope(minor: int, major: int) -> int:
+    """Step of the fixed-point minor coordinate of a line, ceil(minor 2^42 / major); |minor| <= major >= 1."""
+    step = int(minor * (1.0 / major) * _ONE)
+    rest = (minor << FRACTION_BITS) - step * major
+    return step + int(rest > 0) + int(rest > major) - int(rest <= -major)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def fixed_point(major: int, minor: int) -> tuple[int, int]:
     """Bias acc(0) and step of the fixed-point minor coordinate of a line; major >= 1.
 
@@ -45,9 +53,7 @@ def fixed_point(major: int, minor: int) -> tuple[int, int]:
     bias = int((major - 1) * inverse * _HALF)
     rest = ((major - 1) << (FRACTION_BITS - 1)) - bias * major
     bias += int(rest >= major) - int(rest < 0)
-    step = int(minor * inverse * _ONE)
-    rest = (minor << FRACTION_BITS) - step * major
-    return bias, step + int(rest > 0) + int(rest > major) - int(rest <= -major)
+    return bias, slope(minor, major)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from ogm_core.errors import BadParameter, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models import area_fill, beams, bresenham, dda, spans
+from ogm_core.sensor_models import area_fill, beams, bresenham, counted_beams, dda, passing, spans
 from ogm_core.sensor_models.area_outline import Rays, fan_of, turned
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.projection import beam_model, project, read_only
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.sensor_models.true_line import MAX_COLUMNS, SUBCELLS
 from ogm_core.tiles.store import TileStore
 from ogm_core.types import PlacedScan, Scan
 
@@ -78,6 +79,21 @@ class Evidence:
         store.tiles_used += fresh
         return int(updates)
 
+    def update_planes(self, store: TileStore, window: CellRect, revision: int, names: tuple[str, ...]) -> int:
+        """Count in planes, some of cells and some of halves, as `passing` does; returns how many updates."""
+        planes = [store.planes[name] for name in names]
+        columns = tuple(next(plane.column for plane in planes if plane.side == side) for side in (1, 2))
+        updates, fresh = self.kernels.update_planes(
+            *self.arrays,
+            tuple(window),
+            store.touched,
+            revision,
+            columns,
+            tuple(plane.cells for plane in planes),
+        )
+        store.tiles_used += fresh
+        return int(updates)
+
 
 def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     """Read a placed scan as the settings say.
@@ -89,6 +105,8 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     """
     if settings.sensor_model == "sector":
         return _seen(placed, settings)
+    if settings.cell_model.lengths:
+        return _passed(placed, settings)
     lattice, bounds = settings.lattice, settings.bounds_rect
     exact = settings.traversal == "dda"
     ends, lines = project(placed, lattice, settings, exact=exact)
@@ -97,6 +115,33 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     if _may_be_too_large(placed.scan, settings):
         _check_size(beams.count_cells(ends, exact), settings)
     return Evidence(dda, (ends, lines)) if exact else Evidence(bresenham, (ends,))
+
+
+def _passed(placed: PlacedScan, settings: GridSettings) -> Evidence:
+    """Read a placed scan as lengths of passing, and hits."""
+    bounds, scan = settings.bounds_rect, placed.scan
+    ends, _ = project(placed, settings.lattice, settings, subcells=SUBCELLS)
+    _check_length(ends, scan, settings)
+    if bounds is not None and settings.outside == "drop":
+        _drop_outside(ends, CellRect(*(SUBCELLS * edge for edge in bounds)))
+    if _may_be_too_large(scan, settings):
+        _check_size(beams.count_cells(ends, False) / SUBCELLS, settings)
+    weights = counted_beams.weigh(read_only(scan.ranges), tuple(beam_model(scan, settings)), ends)
+    return Evidence(passing, (ends, weights))
+
+
+def _check_length(ends: NDArray[np.int64], scan: Scan, settings: GridSettings) -> None:
+    """Refuse a scan with a beam across more cells than lines are exact for."""
+    reach = settings.distances[2] if scan.reach is None else scan.reach
+    if min(scan.range_max, reach) < (MAX_COLUMNS - 2) * settings.resolution:
+        return
+    across = np.abs(ends[[beams.IX, beams.IY]] - ends[[beams.IX0, beams.IY0]]).max(initial=0)
+    if across >= SUBCELLS * (MAX_COLUMNS - 1):
+        raise LimitReached(
+            f"a beam across {across // SUBCELLS} cells is longer than the {MAX_COLUMNS - 2} that cell "
+            "model rate counts exactly: give a shorter mapper.reach and clear_range, or a larger resolution",
+            "too_far",
+        )
 
 
 def _drop_outside(ends: NDArray[np.int64], bounds: CellRect) -> None:

@@ -55,14 +55,18 @@ def directions(angle_min: float, angle_increment: float, count: int) -> NDArray[
     return found
 
 
-def project(placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exact: bool = False) -> Beams:
+def project(
+    placed: PlacedScan, lattice: Lattice, settings: GridSettings, *, exact: bool = False, subcells: int = 1
+) -> Beams:
     """Project a placed scan onto a lattice; with its lines if they are to be `exact`.
+
+    With `subcells`, a power of two, points count in so many parts of a cell's side.
 
     Raises:
         LimitReached: the sensor or a beam's end is farther away than cells can be addressed.
     """
     ranges, model = read_only(placed.scan.ranges), tuple(beam_model(placed.scan, settings))
-    onto = float(lattice.anchor[0]), float(lattice.anchor[1]), float(lattice.resolution)
+    onto = float(lattice.anchor[0]), float(lattice.anchor[1]), float(lattice.resolution) / subcells
     projected = Beams(np.empty((5, ranges.size), np.int64), np.empty((4, ranges.size if exact else 0)))
     if placed.sweep is None:
         x, y, theta = placed.pose

@@ -1,0 +1,109 @@
+"""The rate cell model: how often a metre of beam ends in a cell, counted.
+
+A cell's rate is hits / length of beam that passed, the most likely one given the beams (Schaefer, Luft &
+Burgard 2017, "An analytical lidar sensor model based on ray path information", doi 10.1109/LRA.2017.2669376).
+
+    plane  side  unit             what it counts
+    N      1     1/16 cell        length of passing of beams that met something; it wraps, and C counts that
+    C      1     65536 units of N
+    F      1     1 beam           passing of beams that met nothing; it stops at 65535
+    E      2     1/16 half        length of passing in the last two columns before a hit
+    H      2     1/1024 hit       hits, each shared by the four halves around its point
+
+A half is half as wide as a cell. All zero is "never observed". Every number is a sum of whole numbers that
+depend on one beam alone: the order of scans does not matter, and the planes of maps of one lattice add up.
+
+Two lattices can be served: `Rate` publishes cells, `RateHalves` halves, of which a map tells more.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.halves import HITS, PASSING, PLANES_OF_HALVES, UNANSWERED, Halves, passing_of
+from ogm_core.cells.model import CellEvidence, CellModel, CellSource, Known, Plane, Planes, Probability
+from ogm_core.cells.published import pooled_probabilities
+from ogm_core.cells.rate_publishing import OF_CELLS, OF_HALVES, Publish, publish
+
+PLANES = (
+    Plane("N", np.dtype(np.uint16)),
+    Plane("C", np.dtype(np.uint16)),
+    Plane("F", np.dtype(np.uint16)),
+    Plane("E", np.dtype(np.uint32), 2),
+    Plane("H", np.dtype(np.uint32), 2),
+)
+
+
+class _Counted(CellModel):
+    """What the two lattices have in common."""
+
+    sensor_models = frozenset({"beam"})
+    l0 = 0.0
+
+    def __init__(self, publish: Publish = publish) -> None:
+        """Cells that are published by NumPy, or by its compiled twin (see cells.rate_kernel)."""
+        self.publish = publish
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+    def pooled(self, source: CellSource, factor: int) -> tuple[CellModel, Planes]:
+        """Blocks of what is published."""
+        return pooled_probabilities(self, source, factor)
+
+
+class Rate(_Counted):
+    """Counts, as the map keeps them; published are its cells, of the counts of all that lies in them."""
+
+    lengths = True
+    margin = OF_CELLS.margin
+    spread = 2
+    planes = PLANES
+
+    @property
+    def described(self) -> dict[str, str | float]:
+        """Its name: it has no constants."""
+        return {"name": "rate"}
+
+    def update(
+        self, evidence: CellEvidence, store: object, window: tuple[int, int, int, int], revision: int
+    ) -> int:
+        """Count a scan's beams (see sensor_models.passing)."""
+        return evidence.update_planes(store, window, revision, tuple(plane.name for plane in PLANES))
+
+    def published(self, planes: Planes) -> tuple[Probability, Known]:
+        """Probability and whether known, of the cells."""
+        cells = planes["F"]
+        passing = 2.0 * passing_of(planes) + _put_together(planes["E"], cells.shape)
+        return self.publish(passing, _put_together(planes["H"], cells.shape), cells, OF_CELLS)
+
+    def halved(self, source: CellSource) -> tuple[CellModel, CellSource]:
+        """The halves, which tell more than the cells."""
+        return RateHalves(self.publish), Halves(source)
+
+
+class RateHalves(_Counted):
+    """Halves of counted cells, as `cells.halves.Halves` lays them out; nothing updates them."""
+
+    sensor_models = frozenset()
+    margin = OF_HALVES.margin
+    planes = PLANES_OF_HALVES
+
+    def update(self, *_: object) -> int:
+        """Refuse: there is nothing that a scan could change."""
+        raise NotImplementedError("halves are made of cells that take evidence, and take none")
+
+    def published(self, planes: Planes) -> tuple[Probability, Known]:
+        """Probability and whether known, of the halves."""
+        return self.publish(planes[PASSING], planes[HITS], planes[UNANSWERED], OF_HALVES)
+
+
+def _put_together(halves: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """The sum of the four halves of every cell."""
+    height, width = shape
+    wide: NDArray[np.int64] = halves.reshape(height, 2, width, 2).astype(np.int64).sum(axis=(1, 3))
+    return wide

@@ -1,0 +1,227 @@
+"""Beams as lengths of passing, and hits: the kernels that count them, along true lines.
+
+    cells   o . . . .        In every column strictly between the sensor's and the last but one, ONE cell gets
+            . x x . .        the beam's weight: the one that holds the line at the column's middle.
+            . . . x :        A beam that met nothing counts 1 there, in a plane of its own.
+            . . . . :        Over the last two columns before a hit, columns half as wide count in the same
+                             way, up to the end point's own, which gets the part that was entered.
+    halves      x x          The hit itself is shared by the four halves around the end point.
+                    x x
+
+A cell that is passed along its whole column counts the length of that, which is longer the steeper the line
+runs (Schaefer, Luft & Burgard 2017). Every number is a sum of whole numbers that depend on one beam alone.
+
+`ends` and `weights` are those of `counted_beams`. Cells are addressed as in tiles.store. `window` is the
+contents of a CellRect, of cells; the planes are those of cells.rate.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ogm_core.lattice import CellRect
+from ogm_core.sensor_models.beams import HIT, KIND, NO_RETURN, Plain
+from ogm_core.sensor_models.bresenham import FRACTION_BITS, left_in_tile
+from ogm_core.sensor_models.counted_beams import cell_at, half_inside, last_passed, points_in, share_of_hit
+from ogm_core.sensor_models.passing_extent import extent, touch_tiles
+from ogm_core.sensor_models.true_line import (
+    Line,
+    entered,
+    half_columns,
+    line_of,
+    row_at_start,
+    steps_between,
+    steps_inside,
+)
+from ogm_core.tiles.marks import touch, touch_rows
+from ogm_core.tiles.store import TILE, TILE_BITS
+
+__all__ = ["extent", "touch_tiles", "update_planes"]
+
+_LONGEST_PIECE = 4000
+"""Rows that are walked in one go: addresses in fixed point stay below 2^63."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _count_passing(
+    line: Line,
+    kind: int,
+    weight: int,
+    window: CellRect,
+    touched: NDArray[np.int64],
+    revision: int,
+    column: NDArray[np.int64],
+    passing: NDArray[np.uint16],
+    carries: NDArray[np.uint16],
+    unanswered: NDArray[np.uint16],
+) -> tuple[int, int]:
+    """Count a beam in the cells that it passed; returns the number of updates and of fresh tiles.
+
+    A line is cut at tile edges where i is the major axis, else at the edges of the strips: there the
+    address of its cells is a fixed-point number itself.
+    """
+    acc, step, sign = row_at_start(line), line.step, line.sign
+    k, last = steps_inside(line, last_passed(line, kind), acc, window.width, window.height)
+    updates, fresh = max(0, last - k + 1), 0
+    while k <= last:
+        at, a, along = acc + k * step, acc + (k - 1) * step, line.start + sign * k
+        row = line.aside + (at >> FRACTION_BITS)
+        if line.along_i:
+            end = min(k + left_in_tile(along, sign), last)
+            fresh += touch(touched, along, row, revision)
+            fresh += touch(touched, along, line.aside + ((acc + end * step) >> FRACTION_BITS), revision)
+            base, ahead, bits, gain = (
+                column[np.uint64(along)] + (line.aside << TILE_BITS) - sign,
+                sign,
+                TILE_BITS,
+                step,
+            )
+        else:
+            left = (row & ~(TILE - 1)) - line.aside
+            _, end = steps_between(k, min(last, k + _LONGEST_PIECE), acc, step, left, left + TILE - 1)
+            fresh += touch_rows(touched, row, along, line.start + sign * end, revision)
+            base = column[np.uint64(row)] - (at >> FRACTION_BITS) + ((along - sign) << TILE_BITS)
+            ahead, bits, gain = 0, 0, step + (sign << (TILE_BITS + FRACTION_BITS))
+        if kind == NO_RETURN:
+            _add_one(unanswered, base, ahead, bits, a, gain, end - k + 1)
+        else:
+            over = _add_weight(passing, weight, base, ahead, bits, a, gain, end - k + 1)
+            if over:
+                _add_carries(passing, carries, weight, base, ahead, bits, a, gain, end - k + 1)
+        k = end + 1
+    return updates, fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _add_one(
+    cells: NDArray[np.uint16], base: int, ahead: int, bits: int, acc: int, gain: int, count: int
+) -> None:
+    """Add 1 to every cell of a piece; none is more than 65535."""
+    for _ in range(count):
+        acc += gain
+        base += ahead
+        address = np.uint64(base + ((acc >> FRACTION_BITS) << bits))
+        value = np.int64(cells[address])
+        cells[address] = value + (value < 65535)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _add_weight(
+    cells: NDArray[np.uint16], weight: int, base: int, ahead: int, bits: int, acc: int, gain: int, count: int
+) -> bool:
+    """Add the weight to every cell of a piece; returns whether some have wrapped."""
+    over = 0
+    for _ in range(count):
+        acc += gain
+        base += ahead
+        address = np.uint64(base + ((acc >> FRACTION_BITS) << bits))
+        value = np.int64(cells[address]) + weight
+        cells[address] = value
+        over |= int(value)
+    return over >> 16 != 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_carries(
+    cells: NDArray[np.uint16],
+    carries: NDArray[np.uint16],
+    weight: int,
+    base: int,
+    ahead: int,
+    bits: int,
+    acc: int,
+    gain: int,
+    count: int,
+) -> None:
+    """Carry 1 where a cell of the piece has wrapped: it now holds less than was added."""
+    for _ in range(count):
+        acc += gain
+        base += ahead
+        address = np.uint64(base + ((acc >> FRACTION_BITS) << bits))
+        carries[address] = np.int64(carries[address]) + (np.int64(cells[address]) < weight)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _count_hit(
+    line: Line,
+    point: tuple[int, int],
+    weights: tuple[int, int],
+    window: CellRect,
+    touched: NDArray[np.int64],
+    revision: int,
+    column: NDArray[np.int64],
+    passing: NDArray[np.uint32],
+    hits: NDArray[np.uint32],
+) -> tuple[int, int]:
+    """Count the end of a hit, in halves; returns the number of updates, those of hits apart, and fresh tiles.
+
+    `weights` are that of a column, and of the range.
+    """
+    (u, v), (weight, range_weight) = point, weights
+    half, count, acc = half_columns(line)
+    updates = fresh = 0
+    for _ in range(count):
+        i, j = cell_at(line, 2 * line.start + half, 2 * line.aside + (acc >> FRACTION_BITS))
+        if half_inside(i, j, window):
+            address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
+            passing[address] = np.int64(passing[address]) + weight
+            fresh += touch(touched, i >> 1, j >> 1, revision)
+            updates += 1
+        acc += line.step
+        half += line.sign
+    i, j = u >> 3, v >> 3
+    if half_inside(i, j, window):
+        address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
+        passing[address] = np.int64(passing[address]) + ((weight * entered(line) + 8) >> 4)
+        updates += 1
+    for q in range(4):
+        i, j, share = share_of_hit(q, u, v)
+        if share and half_inside(i, j, window):
+            address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
+            hits[address] = np.int64(hits[address]) + share * range_weight
+            fresh += touch(touched, i >> 1, j >> 1, revision)
+    return updates, fresh
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update_planes(
+    ends: NDArray[np.int64],
+    weights: NDArray[np.int64],
+    window: Plain,
+    touched: NDArray[np.int64],
+    revision: int,
+    columns: tuple[NDArray[np.int64], NDArray[np.int64]],
+    planes: tuple[Any, ...],
+) -> tuple[int, int]:
+    """Add a scan's beams to the planes of cells.rate, in its order, and write `revision` into their tiles.
+
+    Returns the number of cell updates and of tiles that held 0 before. Only what lies in `window` changes;
+    the store of the planes and of `touched` begins in its corner. `columns` address cells and halves.
+    """
+    window = CellRect(*window)
+    passing, carries, unanswered, near, hits = planes
+    updates = fresh = 0
+    for b in range(ends.shape[1]):
+        counts, u0, v0, u1, v1 = points_in(window, ends, b)
+        if not counts:
+            continue
+        line, kind, range_weight = line_of(u0, v0, u1, v1), ends[KIND, b], weights[b]
+        advance = float(line.advance)
+        weight = int(
+            range_weight * math.sqrt(advance * advance + float(line.rise * line.rise)) / advance + 0.5
+        )
+        more, tiles = _count_passing(
+            line, kind, weight, window, touched, revision, columns[0], passing, carries, unanswered
+        )
+        updates += more
+        fresh += tiles
+        if kind == HIT:
+            more, tiles = _count_hit(
+                line, (u1, v1), (weight, range_weight), window, touched, revision, columns[1], near, hits
+            )
+            updates += more
+            fresh += tiles
+    return updates, fresh
