@@ -1,7 +1,7 @@
-"""Quality figures of a map: entropy, areas, consistency with its scans, prediction of held-out scans."""
+"""Quality figures of a map: entropy, areas, consistency with its scans."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,28 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
-from ogm_core.cells.model import row_bands
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
-from ogm_core.queries.rays import FOUND_UNKNOWN, FOUND_WALL
 from ogm_core.sensor_models import beams
-from ogm_core.sensor_models.projection import beam_model, project, read_only, sensor_poses
+from ogm_core.sensor_models.projection import project
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan
 
-JUDGED_SHORTER_THAN = 15.0
-CAST_UP_TO = 25.0
 BEAMS_IN_A_ROW = 4096
 """Judged without a look at whether anybody still waits: a fraction of a second, even of the longest beams."""
 BAND = 64
 """Rows that are judged together where not all can be."""
 JUDGED_HITS = 32
 """Hits of a scan that `agreement_of_hits` looks at."""
-DECIDED = 0.6
-"""A cell counts as a wall, or as free, if its log odds differ from the prior's by more than this."""
 
 
 def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
@@ -176,32 +170,6 @@ def hints_by(
     )
 
 
-def held_out(snapshot: MapSnapshot, settings: GridSettings, scans: Iterable[PlacedScan]) -> dict[str, Any]:
-    """How well the map predicts scans that are not in it.
-
-    Judged are their hits shorter than 15 m; each is cast up to 25 m through the map and ends where it enters
-    the first cell with l - l0 > 0.6, or in the unknown if a cell that is not clearly free comes first. Shares
-    are of all judged beams, the median error is of those that found a wall.
-    """
-    beliefs = _decided(snapshot)
-    parts = [_predict(snapshot, settings, beliefs, placed) for placed in scans]
-    measured, found, predicted = np.concatenate([np.empty((3, 0)), *parts], axis=1)
-    error = np.abs(predicted - measured)
-    walls = found == FOUND_WALL
-    judged = measured.size
-
-    def share(beams: NDArray[np.bool_]) -> float | None:
-        return float(np.count_nonzero(beams)) / judged if judged else None
-
-    return {
-        "beams": judged,
-        "median_abs_m": float(np.median(error[walls])) if walls.any() else None,
-        "within_0_1_m": share(walls & (error <= 0.1)),
-        "within_0_2_m": share(walls & (error <= 0.2)),
-        "into_unknown": share(found == FOUND_UNKNOWN),
-    }
-
-
 def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
     q = 1.0 - p
     # The limit of p log p is 0, where the logarithm has none.
@@ -215,30 +183,3 @@ def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[n
         np.where(p < 0.5, agreement.BELIEF_FREE, agreement.BELIEF_UNDECIDED),
     )
     return np.where(known, sides, 0).astype(np.uint8)
-
-
-def _decided(snapshot: MapSnapshot) -> NDArray[np.uint8]:
-    beliefs = np.full((snapshot.height, snapshot.width), agreement.BELIEF_UNDECIDED, np.uint8)
-    for band in row_bands(beliefs.shape):
-        evidence = snapshot.log_odds(band) - snapshot.model.l0
-        beliefs[band][evidence > DECIDED] = agreement.BELIEF_OCCUPIED
-        beliefs[band][evidence < -DECIDED] = agreement.BELIEF_FREE
-    return beliefs
-
-
-def _predict(
-    snapshot: MapSnapshot, settings: GridSettings, beliefs: NDArray[np.uint8], placed: PlacedScan
-) -> NDArray[np.float64]:
-    resolution = snapshot.lattice.resolution
-    sensor = sensor_poses(placed).copy()
-    sensor[:, :2] = snapshot.lattice.in_cells(sensor[:, :2]) - snapshot.offset
-    judged: NDArray[np.float64] = agreement.predict_ranges(
-        read_only(placed.scan.ranges),
-        beam_model(placed.scan, settings),
-        sensor,
-        float(resolution),
-        JUDGED_SHORTER_THAN,
-        CAST_UP_TO,
-        beliefs,
-    )
-    return judged

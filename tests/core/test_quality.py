@@ -14,7 +14,8 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice, Region
 from ogm_core.quality import figures
-from ogm_core.quality.figures import DECIDED, Consistency, held_out, map_figures
+from ogm_core.quality.figures import Consistency, map_figures
+from ogm_core.quality.held_out import DECIDED, predicted_walls
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan
 
@@ -172,13 +173,16 @@ def test_nothing_judged_gives_none():
         "within_0_2_m": None,
         "into_unknown": None,
     }
-    assert held_out(empty, settings, []) == nothing
-    assert held_out(empty, settings, [PlacedScan(scan_of([NAN, INF, 15.0, 0.0]), Pose(0, 0, 0))]) == nothing
+    assert predicted_walls(empty, settings, []) == nothing
+    assert (
+        predicted_walls(empty, settings, [PlacedScan(scan_of([NAN, INF, 15.0, 0.0]), Pose(0, 0, 0))])
+        == nothing
+    )
 
 
 def test_in_an_empty_map_every_beam_ends_in_the_unknown():
     settings = GridSettings(resolution=0.5)
-    figures = held_out(
+    figures = predicted_walls(
         OccupancyGrid(settings, "e").snapshot(), settings, [PlacedScan(scan_of([3.0, 4.0]), Pose(0, 0, 0))]
     )
     assert figures == {
@@ -206,7 +210,7 @@ CORRIDOR = [[-2.0] * 20 + [2.0]] * 3
 def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
     settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
     snapshot = snapshot_of(CORRIDOR, settings.cell_model)
-    figures = held_out(snapshot, settings, [PlacedScan(scan_of([measured]), Pose(x, 0.75, theta))])
+    figures = predicted_walls(snapshot, settings, [PlacedScan(scan_of([measured]), Pose(x, 0.75, theta))])
     assert figures["median_abs_m"] == pytest.approx(error, abs=1e-6)
     assert (figures["beams"], figures["into_unknown"]) == (1, 0.0)
     assert figures["within_0_2_m"] == float(error <= 0.2)
@@ -226,7 +230,7 @@ def test_a_wall_is_predicted_where_the_ray_enters_it(x, theta, measured, error):
 def test_what_is_not_clearly_free_stops_a_ray(cell, found):
     settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
     row = [[-2.0] * 8 + [cell] + [-2.0] * 11 + [2.0]]
-    figures = held_out(
+    figures = predicted_walls(
         snapshot_of(row, settings.cell_model), settings, [PlacedScan(scan_of([3.75]), Pose(0.25, 0.25, 0.0))]
     )
     assert figures["into_unknown"] == float(found == "unknown")
@@ -239,7 +243,7 @@ def test_a_cell_is_decided_relative_to_the_prior():
     assert model.l0 == pytest.approx(-1.0986, abs=1e-4)
     settings = GridSettings(resolution=0.5, cell_model=model)
     row = [[-2.0, -2.0, -2.0, -0.4]]  # -0.4 is 0.7 above the prior
-    figures = held_out(
+    figures = predicted_walls(
         snapshot_of(row, model), settings, [PlacedScan(scan_of([1.25]), Pose(0.25, 0.25, 0.0))]
     )
     assert figures["median_abs_m"] == 0.0
@@ -249,7 +253,7 @@ def test_a_ray_is_cast_no_farther_than_25_m():
     settings = GridSettings(resolution=0.5, cell_model=LogOdds("float64"))
     row = [[-2.0] * 60 + [2.0]]
     scans = [PlacedScan(scan_of([3.0]), Pose(x, 0.25, 0.0)) for x in (0.25, 4.99, 5.01, 16.0)]
-    figures = held_out(snapshot_of(row, settings.cell_model), settings, scans)
+    figures = predicted_walls(snapshot_of(row, settings.cell_model), settings, scans)
     # The wall is at 30 m: the first two find nothing, the others are 21.99 m and 11 m off.
     assert (figures["beams"], figures["into_unknown"]) == (4, 0.0)
     assert figures["median_abs_m"] == pytest.approx((21.99 + 11.0) / 2)
@@ -294,7 +298,7 @@ def test_held_out_is_that_of_every_crossing_of_every_ray(cells, changes):
     grid, _, rng = random_map(cells, 3, scans=40, longest=6.0, **changes)
     others = [PlacedScan(random_scan(rng, 20.0), random_pose(rng)) for _ in range(40)]
     others += [PlacedScan(random_scan(rng, 6.0), Pose(*rng.uniform(-9, 9, 2), 0.0)) for _ in range(10)]
-    figures = held_out(grid.snapshot(), grid.settings, others)
+    figures = predicted_walls(grid.snapshot(), grid.settings, others)
     assert figures == pytest.approx(naive_held_out(grid.snapshot(), grid.settings, others), rel=1e-9)
     assert figures["beams"] > 1000
     assert 0.05 < figures["into_unknown"] < 0.95

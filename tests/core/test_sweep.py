@@ -13,7 +13,8 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.placing.pose_history import PoseHistory
-from ogm_core.quality.figures import Consistency, held_out
+from ogm_core.quality.figures import Consistency
+from ogm_core.quality.held_out import predicted_walls
 from ogm_core.sensor_models.beams import HIT
 from ogm_core.sensor_models.projection import project
 from ogm_core.simulation.lidar import Lidar, measure, true_ranges
@@ -244,8 +245,8 @@ def test_correcting_the_motion_makes_walls_thin_again():
         for each in placed[name]:
             consistency.add(each)
         assert (consistency.figures()["hits"] > 0.7) == (name == "corrected")
-    good = held_out(corrected.snapshot(), settings, placed["corrected"])
-    bad = held_out(corrected.snapshot(), settings, placed["smeared"])
+    good = predicted_walls(corrected.snapshot(), settings, placed["corrected"])
+    bad = predicted_walls(corrected.snapshot(), settings, placed["smeared"])
     assert good["within_0_1_m"] > 0.8 > 0.5 > bad["within_0_1_m"]
 
 

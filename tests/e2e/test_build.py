@@ -22,7 +22,7 @@ FIGURES = {
     "scans",
     "cell_updates",
 }
-HELD_OUT = {"beams", "median_abs_m", "within_0_1_m", "within_0_2_m", "into_unknown"}
+HELD_OUT = {"beams", "median_abs_m", "within_0_1_m", "within_0_2_m", "into_unknown", "bits", "hit"}
 
 
 def quality(ogm, name="built"):
@@ -96,6 +96,8 @@ def test_hold_out_takes_scan_i_if_i_mod_n_is_half_of_n(ogm, lab_recording, asser
     assert judged["beams"] == np.sum((ranges > 0.0) & (ranges < 8.0 - 0.05))
     assert 0.8 < judged["within_0_1_m"] <= judged["within_0_2_m"] <= 1.0 - judged["into_unknown"]
     assert judged["median_abs_m"] < 0.05
+    assert judged["bits"] > 4.5
+    assert 0.8 < judged["hit"] < 1.0
 
 
 def test_malformed_lines_are_counted_and_quoted(ogm, lab_recording):

@@ -62,6 +62,8 @@ def test_walls_are_sharp(maps):
     assert held_out["within_0_2_m"] >= held_out["within_0_1_m"]
     assert held_out["median_abs_m"] < 0.05
     assert held_out["into_unknown"] < 0.2
+    assert held_out["bits"] == pytest.approx(4.25, abs=0.1)
+    assert held_out["hit"] == pytest.approx(0.766, abs=0.005)
     assert maps["corrected"]["consistency"]["free"] > 0.95
 
 

@@ -17,7 +17,8 @@ from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
 from ogm_core.placing.receipts import Receipts
-from ogm_core.quality.figures import Consistency, held_out, hints_by, quality_figures
+from ogm_core.quality.figures import Consistency, hints_by, quality_figures
+from ogm_core.quality.held_out import held_out
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
