@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.websockets import WebSocket
 
-from ogm_services.mapper.serving.http_connection import HttpLimits
+from ogm_services.mapper.serving.http_limits import HttpLimits
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 
 PATIENCE = 30.0
@@ -69,12 +70,25 @@ class Spoken:
 
 @contextmanager
 def http_desk(**limits):
-    """Serve / (says the body and header X back), and /big, which is BIG bytes, under HttpLimits(**limits)."""
+    """Serve / (says the body and header X back), and /big, which is BIG bytes, under HttpLimits(**limits).
+
+    /ws is a WebSocket that says everything back, and to nothing BIG bytes.
+    """
     much = bytes(BIG)
     with ExitStack() as stack:
         listener = stack.enter_context(bound_socket("127.0.0.1", 0))
 
+        async def talk(websocket):
+            await websocket.accept()
+            while (message := await websocket.receive())["type"] == "websocket.receive":
+                said = message["text"] if "text" in message else message["bytes"]
+                desk.seen.append(("WebSocket", websocket.url.path, said))
+                await websocket.send_bytes(much if said == b"" else said or b"a text")
+
         async def app(scope, receive, send):
+            if scope["type"] == "websocket":
+                await talk(WebSocket(scope, receive, send))
+                return
             request = Request(scope, receive)
             body = await request.body()
             desk.seen.append((request.method, request.url.path, body))
@@ -82,7 +96,8 @@ def http_desk(**limits):
             heard = {"Heard": request.headers.get("X", "")}
             await Response(content, headers=heard, media_type="text/plain")(scope, receive, send)
 
-        http = HttpThread(app, listener, HttpLimits(**limits), lambda reason: desk.closed.append(reason))
+        limits = HttpLimits(websockets=(b"/ws",), **limits)
+        http = HttpThread(app, listener, limits, lambda reason: desk.closed.append(reason))
         desk = Desk(listener.getsockname(), http)
         stack.enter_context(http)
         yield desk
@@ -114,3 +129,12 @@ def answer_from(file):
 def get(path=b"/", *headers, method=b"GET"):
     """A request without a body."""
     return b"\r\n".join([method + b" " + path + b" HTTP/1.1", b"Host: a", *headers, b"", b""])
+
+
+HANDSHAKE = (
+    b"Connection: keep-alive, Upgrade",
+    b"Upgrade: websocket",
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+    b"Sec-WebSocket-Version: 13",
+)
+"""Headers of a request that becomes a WebSocket."""

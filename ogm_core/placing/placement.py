@@ -39,14 +39,19 @@ class Placement:
         hints: Hints,
         integrated: Callable[[float], None],
         other_robots: OtherRobots | None,
+        placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
     ) -> None:
-        """`integrated` is told, of each scan that the sink has taken, when it was handed to the placer, s."""
+        """`integrated` is told, of each scan that the sink has taken, when it was handed to the placer, s.
+
+        `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose at its stamp.
+        """
         self._sink = sink
         self._robots = robots
         self._outcomes = outcomes
         self._hints = hints
         self._integrated = integrated
         self._other_robots = other_robots
+        self._placed = placed
 
     def place(self, name: str, robot: Robot, sensor: str, scan: Scan, handed: float) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
@@ -67,6 +72,7 @@ class Placement:
         else:
             self._outcomes.receipts.scan_integrated(name, sensor, skipped)
             self._integrated(handed)
+            self._placed(name, sensor, scan, pose)
             for hint in told:
                 self._outcomes.hint(name, sensor, hint)
             for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):

@@ -2,7 +2,7 @@
 
 import threading
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal, NamedTuple, get_args
 
 from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS
@@ -85,8 +85,11 @@ class _Robot:
 
     def status(self, now: float | None) -> RobotStatus:
         sources = {name: sensor.status() for name, sensor in self.sensors.items()}
+        return replace(self.place(now), sources=sources)
+
+    def place(self, now: float | None) -> RobotStatus:
         age = None if now is None or self.heard is None else max(0.0, now - self.heard)
-        return RobotStatus(self.pose, self.stamp, bool(self.runs_alive), age, sources)
+        return RobotStatus(self.pose, self.stamp, bool(self.runs_alive), age)
 
 
 class Presence(NamedTuple):
@@ -118,6 +121,8 @@ class Receipts:
         self._ignored = 0
         self._replayed = 0
         """Scans that came again."""
+        self.moves = 0
+        """How often a robot's pose, or whether it is alive, was noted."""
 
     def pose_received(self, robot: str, now: float | None = None) -> bool:
         """Count a pose at its arrival; False: it is refused, and counted so."""
@@ -204,6 +209,7 @@ class Receipts:
             if entry is None:
                 return
             entry.seen_at(now)
+            self.moves += 1
             if not alive:
                 entry.runs_alive.discard(run)
             elif len(entry.runs_alive) < _MAX_RUNS_ALIVE:
@@ -227,6 +233,7 @@ class Receipts:
             entry = self._robots.get(robot)
             if entry is not None:
                 entry.stamp, entry.pose = stamp, pose
+                self.moves += 1
 
     def scan_taken(self, robot: str, sensor: str, run: str, seq: int) -> None:
         """Note the last scan that the worker has taken from the queue."""
@@ -268,6 +275,12 @@ class Receipts:
                 other=OtherCounts(self._ignored),
                 robots={name: robot.status(now) for name, robot in self._robots.items()},
             )
+
+    def places(self, now: float) -> dict[str, RobotStatus]:
+        """Where the robots are that have said so and are not gone, `now` in s; nothing of their sensors."""
+        with self._lock:
+            found = {name: robot.place(now) for name, robot in self._robots.items() if robot.pose is not None}
+        return {name: robot for name, robot in found.items() if not robot.gone}
 
     def presence(self) -> dict[str, Presence]:
         """Which robots are known, and whether they are there."""

@@ -18,7 +18,7 @@ from ogm_core.placing.source import Source
 from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits
 from ogm_core.placing.waiting_room import WaitingRoom
-from ogm_core.types import PoseStamped, Scan
+from ogm_core.types import Pose, PoseStamped, Scan
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
@@ -50,9 +50,11 @@ class ScanPlacer:
         stopping: Callable[[], bool] = lambda: False,
         robots_limit: float = math.inf,
         other_robots: OtherRobots | None = None,
+        placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
+        `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose in the map.
         `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
         `robots_limit`: bytes that poses, seqs and runs of all robots may hold. `other_robots` skips the beams
         that end at other robots.
@@ -68,7 +70,7 @@ class ScanPlacer:
         self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
         self._outcomes = Outcomes(receipts, complain)
         self._placement = Placement(
-            sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots
+            *(sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots, placed)
         )
         self._waiting = WaitingRoom(
             self._robots, self._outcomes, self._placement, rules.pose_wait, limits, stopping

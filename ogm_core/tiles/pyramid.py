@@ -66,6 +66,24 @@ def revision_of(tiles: TileCopies, model: CellModel, square: Square) -> int | No
     return None if revision < 0 else revision
 
 
+def revisions_of(tiles: TileCopies, model: CellModel, first: Square, last: Square) -> NDArray[np.int64]:
+    """Of all squares from `first` to `last`, of one z, the `revision_of`; -1 where it has none.
+
+    Shape (in x, in y), from `first`.
+    """
+
+    def window(square: Square) -> _Window:
+        return _window(tiles, square.rect.widened(model.margin))
+
+    across = [window(first._replace(x=x)).columns for x in range(first.x, last.x + 1)]
+    down = [window(first._replace(y=y)).rows for y in range(first.y, last.y + 1)]
+    # x rises with the columns, y falls with the rows.
+    columns, rows = slice(across[0].start, across[-1].stop), slice(down[-1].start, down[0].stop)
+    of = tiles.revisions(columns, rows)
+    highest = np.stack([_within(of.T, part, columns.start).max(axis=1, initial=-1) for part in across])
+    return np.stack([_within(highest, part, rows.start).max(axis=1, initial=-1) for part in down], axis=1)
+
+
 class TilePyramid:
     """Overviews of the newest map that was asked for, made when they are, and made anew where it has changed.
 
@@ -208,6 +226,11 @@ def _window(tiles: TileCopies, rect: CellRect) -> _Window:
         here.append(slice(low, max(low, min(end, count))))
         places.append(low - first)
     return _Window(here[0], here[1], places[0], places[1])
+
+
+def _within(table: NDArray[np.int64], columns: slice, begin: int) -> NDArray[np.int64]:
+    """Some columns of a table whose first one is column `begin`."""
+    return table[:, columns.start - begin : columns.stop - begin]
 
 
 def _with_margin(tiles: TileCopies, margin: int, window: _Window) -> NDArray[np.int64]:

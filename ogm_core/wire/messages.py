@@ -88,7 +88,7 @@ def decode_pose(payload: bytes) -> PoseStamped:
     Raises:
         BadMessage: it is not one; the text names the field.
     """
-    message = pose_from_fields(_unpack(payload))
+    message = pose_from_fields(unpacked_fields(payload))
     check_length(len(payload), MAX_POSE_BYTES)
     return message
 
@@ -99,7 +99,7 @@ def decode_scan(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
     Raises:
         BadMessage: it is not one; the text names the field.
     """
-    fields = _unpack(payload)
+    fields = unpacked_fields(payload)
     ranges = _required(fields, "ranges")
     if not isinstance(ranges, bytes):
         raise BadMessage(f"ranges: bytes of little-endian float32 are needed, got {_kind(ranges)}")
@@ -116,7 +116,7 @@ def glance(payload: bytes) -> tuple[Ranges, float, float, float] | None:
     None if it is none, so that `decode_scan` will not read it either.
     """
     try:
-        fields = _unpack(payload)
+        fields = unpacked_fields(payload)
         ranges = np.frombuffer(fields["ranges"], "<f4")
         return (
             ranges,
@@ -134,7 +134,7 @@ def numbering(payload: bytes) -> tuple[int, int, str]:
     Raises:
         BadMessage: one of them is missing, of the wrong type or out of range.
     """
-    fields = _unpack(payload)
+    fields = unpacked_fields(payload)
     return _count(fields, "stamp"), _count(fields, "seq"), _run(fields)
 
 
@@ -193,7 +193,12 @@ def check_scan(scan: Scan) -> None:
         raise BadMessage(f"range_max: at most {MAX_RANGE:g} m, got {scan.range_max:g}")
 
 
-def _unpack(payload: bytes) -> Fields:
+def unpacked_fields(payload: bytes) -> Fields:
+    """The fields of any message, unchecked; lists, maps and texts in it are few and short.
+
+    Raises:
+        BadMessage: it is no MessagePack map, or holds more.
+    """
     take = _counted()
     try:
         fields = msgpack.unpackb(

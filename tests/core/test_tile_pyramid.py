@@ -15,7 +15,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.polygon import Polygon
-from ogm_core.tiles.pyramid import PIXELS, Square, TilePyramid, revision_of
+from ogm_core.tiles.pyramid import PIXELS, Square, TilePyramid, revision_of, revisions_of
 from ogm_core.tiles.view import TileView
 from ogm_core.types import Pose, Scan
 
@@ -246,6 +246,29 @@ class TestRevisions:
         # By whole tiles of 64 cells: what was written may be anywhere in one.
         assert [revision_of(tiles, grid.model, Square(16, x, y)) for x, y in ((0, -1), (1, -1))] == [2, 2]
         assert [revision_of(tiles, LogOdds(), Square(16, x, y)) for x, y in ((0, -1), (1, -1))] == [1, None]
+
+    @model_of_every_kind
+    def test_those_of_many_squares_are_those_of_each(self, model):
+        rng, grid = np.random.default_rng(11), grid_of(model)
+        for k in range(12):
+            drive(grid, rng, k, 60.0)
+        tiles = grid.snapshot().stored.tiles
+        for z, x, y, across, down in (
+            (16, -4, -4, 8, 9),
+            (16, 1, -2, 1, 1),
+            (14, -1, -2, 3, 3),
+            (10, -8, 0, 16, 16),
+        ):
+            found = revisions_of(tiles, model, Square(z, x, y), Square(z, x + across - 1, y + down - 1))
+            assert found.shape == (across, down)
+            for i, j in itertools.product(range(across), range(down)):
+                alone = revision_of(tiles, model, Square(z, x + i, y + j))
+                assert found[i, j] == (-1 if alone is None else alone), (z, i, j)
+            assert z == 16 or len(np.unique(found)) > 1
+        far = Square(16, 2**26 - 1, 1 - 2**26)
+        assert revisions_of(tiles, model, far, far).tolist() == [[-1]]
+        empty = OccupancyGrid(GridSettings(0.1, model), "e", "r").snapshot().stored.tiles
+        assert revisions_of(empty, model, Square(10, -1, -1), Square(10, 0, 0)).tolist() == [[-1, -1]] * 2
 
     def test_cells_that_a_map_begins_with_are_of_revision_0_until_the_first_scan(self):
         """Both say 1 in the store: two contents would be under one tag."""

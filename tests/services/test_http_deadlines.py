@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import pytest
 
 from http_desk import BIG, answer_from, get, http_desk
-from ogm_services.mapper.serving.http_connection import HttpLimits
+from ogm_services.mapper.serving.http_limits import HttpLimits
 
 SHORT, NEVER = 0.5, 3600.0
 HALVES = {

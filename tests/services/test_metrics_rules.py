@@ -10,7 +10,7 @@ from collections import Counter
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from ogm_services.mapper.serving.http_connection import CLOSED_FOR
+from ogm_services.mapper.serving.http_limits import CLOSED_FOR
 from ogm_services.mapper.serving.metrics import Metrics, gauges
 from status_json import STATUS
 

@@ -30,6 +30,7 @@ from ogm_services.mapper.limits import Limits
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.load import FallingBehind
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.live.newest_scans import NewestScans
 from ogm_services.mapper.live.presence import RobotPresence
 from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.mapper.live.timed_sink import TimedSink
@@ -123,6 +124,8 @@ class Parts:
         """Any thread."""
         measured = self.metrics.measurements
         sink = TimedSink(self.live_map, measured.integration.observe)
+        self.newest_scans = NewestScans(lambda: self.live_map.now.epoch)
+        """The worker notes them, any thread reads."""
         robot_rules = RobotRules(settings.robot_rules())
         self.placer = placer = ScanPlacer(
             *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
@@ -132,6 +135,7 @@ class Parts:
             stopping=lambda: queue.closed,
             robots_limit=limits.robots_bytes,
             other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
+            placed=self.newest_scans.note,
         )
         """The worker's; what it has decided, any thread asks."""
         skip = skipping(placer.decided)

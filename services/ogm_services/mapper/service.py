@@ -27,14 +27,18 @@ from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
 from ogm_services.mapper.serving.http_access import HttpAccess
-from ogm_services.mapper.serving.http_connection import HttpLimits
+from ogm_services.mapper.serving.http_limits import HttpLimits
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
+from ogm_services.mapper.serving.live_clients import LiveClients
+from ogm_services.mapper.serving.live_route import LIVE_PATH
+from ogm_services.mapper.serving.live_updates import LiveUpdates
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.query_routes import BODIES
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
+from ogm_services.replies.turns import Turns
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.bounded_close import Closing
 from ogm_services.runtime.bounded_start import ended_within
@@ -237,6 +241,9 @@ class MapperService:
         self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
         self._http_shares = _shares(opening, self.parts.limits.http_questions)
+        # One thread: what live clients want is made once, and takes no more than its share of the machine.
+        self._live_turns = Turns("live", 1, self._settings.http.max_live)
+        opening.callback(self._live_turns.close)
         zenoh_shares = _shares(opening, self.parts.limits.zenoh_questions)
         routes = ZenohRoutes(session, keys, self.parts.in_flight)
         opening.callback(routes.close)
@@ -283,14 +290,26 @@ class MapperService:
         rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
+        parts, measured = self.parts, self.parts.metrics.measurements
+        updates = LiveUpdates(
+            *(self._settings.network.map_name, self.live_map, self.answers.map_tiles),
+            *(parts.receipts, parts.newest_scans),
+        )
+        live = LiveClients(
+            *(updates, self._live_turns, parts.in_flight, self.answers.check_ready),
+            most=self._settings.http.max_live,
+            counted=measured.live_clients,
+            ended=measured.live_ended,
+        )
         app = build_app(
             *(self.answers, self.parts.health, self.parts.writes.by_name(), self.parts.metrics),
             access=self._access,
             shares=self._http_shares,
-            in_flight=self.parts.in_flight,
+            in_flight=parts.in_flight,
+            live=live,
         )
-        closed = self.parts.metrics.measurements.http_closed
-        self._http_thread = HttpThread(app, listener, HttpLimits(bodies=BODIES), closed)
+        limits = HttpLimits(bodies=BODIES, websockets=(LIVE_PATH.encode(),))
+        self._http_thread = HttpThread(app, listener, limits, measured.http_closed)
         return self._http_thread
 
 

@@ -61,6 +61,12 @@ class CrossOrigin(OgmError):
     slug = "cross-origin"
 
 
+class UpgradeRequired(OgmError):
+    """A WebSocket is asked for by a request that is no handshake."""
+
+    slug = "upgrade-required"
+
+
 class BadHost(BadInput):
     """A request's Host is no name and no address."""
 

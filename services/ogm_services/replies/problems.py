@@ -20,6 +20,7 @@ from ogm_services.replies.answer import (
     Unauthorized,
     Unavailable,
     UnknownName,
+    UpgradeRequired,
 )
 
 MEDIA_TYPE = "application/problem+json"
@@ -36,6 +37,7 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (CrossOrigin, 403),
     (ForeignHost, 421),
     (Changed, 412),
+    (UpgradeRequired, 426),
     (Busy, 503),
     (Unavailable, 503),
     (NotStored, 503),

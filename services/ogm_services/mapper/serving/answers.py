@@ -80,13 +80,14 @@ class Answers:
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._coloured = MapPicture(value_byte)
         self._updates = MapUpdates(live_map, self._cache, self._large, self._in_flight)
-        self._tiles = MapTiles(live_map, self.cache_room, self._in_flight)
+        self.map_tiles = MapTiles(live_map, self.cache_room, self._in_flight)
+        """The tiles of the live map, for all who want some."""
         self._ready = ready
         self.queries = Queries(
             *(live_map, self._cache, self._large, self._in_flight, self.check_ready, memory)
         )
         """What is computed from the map for who asks."""
-        self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self._tiles]
+        self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self.map_tiles]
         if memory is not None:
             memory.add("caches", self.cached_bytes, let_go=self._let_go)
             memory.add("status", lambda: self._status.nbytes)
@@ -193,7 +194,7 @@ class Answers:
             Busy: there is no memory left to make it.
         """
         self.check_ready()
-        tile = self._tiles.tile(square_of(place), palette_of(given))
+        tile = self.map_tiles.tile(square_of(place), palette_of(given))
         if self._memory is not None:
             self._memory.make_room()
         return tile
@@ -201,7 +202,7 @@ class Answers:
     def tiles(self, base: str) -> Answer:
         """What a viewer has to know of the tiles, which are below the URL `base`."""
         self.check_ready()
-        return self._tiles.description(self._map_name, base)
+        return self.map_tiles.description(self._map_name, base)
 
     @property
     def saves(self) -> bool:

@@ -5,8 +5,6 @@ uvicorn's connection over httptools, whose grammar is strict, with what that lac
 
 import asyncio
 import http
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, cast
 
 import httptools
@@ -15,6 +13,9 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from ogm_core.units import MEBIBYTE
+from ogm_services.mapper.serving.http_limits import STALLED
+from ogm_services.mapper.serving.waiting_connections import WaitingConnections
+from ogm_services.mapper.serving.websocket_connection import WebSocketConnection, is_handshake
 from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 
 LINGER = 2.0
@@ -25,80 +26,6 @@ MAX_PIPELINED = 16
 """Requests of one connection that may wait for the answers to those before them."""
 FRAMING = 16
 """Bytes of a chunked body's frames, for each byte that a body may have."""
-
-
-_FULL, _STALLED = "full", "stalled"
-CLOSED_FOR = (*map(slug_of, (400, 408, 413, 414, 431)), _FULL, _STALLED)
-"""Why connections are closed here: a request that is refused, no room, an answer that nobody takes."""
-
-
-@dataclass(frozen=True)
-class HttpLimits:
-    """What one client may cost.
-
-    `head`: bytes of a request's target and headers; `body`: bytes of its body, unless the path, without a
-    query, is one of `bodies`, which have their own. `request_time`: s from the
-    begin of a connection, or its last answer, to the last byte of its next request. `stall_time`: s without
-    progress in sending an answer. `connections`: how many are open at once.
-    """
-
-    head: int = 64 * 1024
-    body: int = 1024
-    request_time: float = 60.0
-    stall_time: float = 20.0
-    connections: int = 1000
-    bodies: Mapping[bytes, int] = field(default_factory=dict)
-
-    def body_of(self, target: bytes) -> int:
-        """Bytes that the body of a request may have."""
-        return self.bodies.get(target.partition(b"?")[0], self.body)
-
-
-class WaitingConnections:
-    """The connections that wait for a request, whole or the rest of one; who waits longest is the first.
-
-    `closed` is told for which of `CLOSED_FOR` one is closed.
-    """
-
-    def __init__(
-        self,
-        limits: HttpLimits,
-        complain: Callable[[str, str, str], None],
-        closed: Callable[[str], None],
-    ) -> None:
-        self.limits = limits
-        self.complain = complain
-        self.closed = closed
-        self._since: dict[HttpConnection, float] = {}
-
-    def add(self, connection: "HttpConnection", now: float) -> None:
-        """It waits from now on."""
-        self._since[connection] = now
-
-    def discard(self, connection: "HttpConnection") -> None:
-        """It waits no longer."""
-        self._since.pop(connection, None)
-
-    def make_room(self, newcomer: "HttpConnection") -> None:
-        """Close the one that has waited longest; where all others are being answered, the newcomer."""
-        self.complain("HTTP", _FULL, f"{self.limits.connections} connections are open: {_ROOM}")
-        self.closed(_FULL)
-        longest = next(iter(self._since), newcomer)
-        self.discard(longest)
-        longest.transport.abort()
-
-    def close_late(self, now: float) -> None:
-        """Close those that have waited for too long."""
-        late = now - self.limits.request_time
-        while self._since:
-            connection, since = next(iter(self._since.items()))
-            if since > late:
-                return
-            self.discard(connection)
-            connection.close_late()
-
-
-_ROOM = "for each new one the one is closed that waits longest for a request"
 
 
 class _Refused(Exception):
@@ -147,7 +74,7 @@ class HttpConnection(HttpToolsProtocol):
         """Forget it."""
         self._waiting.discard(self)
         if isinstance(exc, TimeoutError):  # the kernel's: see TCP_USER_TIMEOUT
-            self._waiting.closed(_STALLED)
+            self._waiting.closed(STALLED)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -162,8 +89,12 @@ class HttpConnection(HttpToolsProtocol):
         try:
             self.parser.feed_data(data)
             self._check_received()
-        except httptools.HttpParserUpgrade:
-            self._hang_up_after_answer()  # without an upgrade: what follows would be of another protocol
+        except httptools.HttpParserUpgrade as upgrade:
+            # What follows is of another protocol.
+            if self._should_upgrade():
+                self._upgrade(data[upgrade.args[0] :])
+            else:
+                self._hang_up_after_answer()
         except httptools.HttpParserCallbackError as error:
             refused = error.__context__
             if not isinstance(refused, _Refused):
@@ -237,6 +168,32 @@ class HttpConnection(HttpToolsProtocol):
         super().on_response_complete()
         if not self._answering and not self.transport.is_closing():
             self._waiting.add(self, self.loop.time())
+
+    def _should_upgrade(self) -> bool:
+        """Whether the request becomes a WebSocket; any other is answered as if it asked for no upgrade."""
+        path = self.url.partition(b"?")[0]
+        return (
+            path.endswith(self._limits.websockets)
+            and self.parser.get_method() == b"GET"
+            and self.parser.get_http_version() == "1.1"
+            and not self._answering
+            and is_handshake(self.headers)
+        )
+
+    def _upgrade(self, rest: bytes) -> None:
+        """Go on as a WebSocket, with what has come already."""
+        made = WebSocketConnection(self.config, self.server_state, self.app_state, waiting=self._waiting)
+        lines = [b": ".join(header) for header in self.headers]
+        made.connection_made(self.transport)
+        made.data_received(b"\r\n".join((b"GET " + self.url + b" HTTP/1.1", *lines, b"", b"")))
+        if not made.handshake_initiated:
+            self.connections.discard(made)
+            self._refuse(_Refused(431, "a WebSocket's handshake has at most 128 headers, of 8 KiB each"))
+            return
+        self.connections.discard(self)
+        self.transport.set_protocol(made)
+        if rest:
+            made.data_received(rest)
 
     @property
     def _answering(self) -> bool:

@@ -31,6 +31,7 @@ from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.in_pieces import InPieces
 from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
+from ogm_services.mapper.serving.live_route import add_live_route
 from ogm_services.mapper.serving.login_routes import LOG_IN_PATHS, add_login_routes
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
@@ -102,10 +103,12 @@ def build_app(
     access: HttpAccess,
     shares: Shares,
     in_flight: InFlight | None = None,
+    live: ASGIApp | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
 
     Its threads are those of `shares`, which belong to the caller. `in_flight` counts what is being sent.
+    `live` serves WebSocket clients.
 
     Raises:
         BadSetting: the path that it is served under has routes of its own.
@@ -155,6 +158,8 @@ def build_app(
     add_page_routes(app)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
 
+    if live is not None:
+        add_live_route(app, live)
     add_write_routes(app, writes, shares.writes)
     add_login_routes(app, write_access, answers)
     check_root_path(access.root_path, app.routes, "http.root_path")

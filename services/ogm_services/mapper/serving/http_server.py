@@ -13,7 +13,10 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from ogm_core.errors import OgmError
-from ogm_services.mapper.serving.http_connection import HttpLimits, WaitingConnections, connection_type
+from ogm_services.mapper.serving.http_connection import connection_type
+from ogm_services.mapper.serving.http_limits import HttpLimits
+from ogm_services.mapper.serving.waiting_connections import WaitingConnections
+from ogm_services.mapper.serving.websocket_connection import MAX_MESSAGE, PING_PERIOD
 from ogm_services.runtime.limited_log import LimitedLog
 
 GRACE = 2
@@ -52,7 +55,11 @@ class HttpThread:
         config = uvicorn.Config(
             app,
             http=connection_type(waiting),
-            ws="none",
+            ws="none",  # see HttpConnection, which alone knows what becomes a WebSocket
+            ws_max_size=MAX_MESSAGE,
+            ws_ping_interval=PING_PERIOD,
+            ws_ping_timeout=PING_PERIOD,
+            ws_per_message_deflate=False,  # tiles are compressed already
             log_config=None,
             access_log=False,
             proxy_headers=False,  # whoever asks from this machine, or through a proxy on it, could write them

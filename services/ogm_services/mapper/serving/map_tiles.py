@@ -83,13 +83,13 @@ class MapTiles:
         with self._lock:
             self._streams, self._size = OrderedDict(), 0
 
-    def tile(self, square: Square, palette: str) -> MapTile:
-        """A tile of the map as it is now.
+    def tile(self, square: Square, palette: str, snapshot: MapSnapshot | None = None) -> MapTile:
+        """A tile of the map as it is now, or was in a `snapshot` of it.
 
         Raises:
             Busy: there is no memory left to make it.
         """
-        snapshot = self._map.snapshot()
+        snapshot = snapshot or self._map.snapshot()
         revision = revision_of(_view(snapshot).tiles, snapshot.model, square)
         resolution = snapshot.resolution * 2 ** (NATIVE_Z - square.z)
         tile = MapTile(EMPTY_TILE, Identity.of(snapshot), revision, resolution)

@@ -5,11 +5,12 @@ from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
 
-from prometheus_client import Counter, Histogram
+from prometheus_client import Counter, Gauge, Histogram
 from prometheus_client.metrics_core import GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.utils import floatToGoString
 
-from ogm_services.mapper.serving.http_connection import CLOSED_FOR
+from ogm_services.mapper.serving.http_limits import CLOSED_FOR
+from ogm_services.mapper.serving.live_clients import ENDED_FOR
 
 AGE_BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 INTEGRATION_BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.1, 0.25, 1.0, 5.0)
@@ -71,6 +72,15 @@ class Measurements:
         )
         for reason in CLOSED_FOR:
             self._closed.labels(reason)
+        self._live = Gauge("ogm_live_clients", "WebSocket clients that watch the map live.", registry=None)
+        self._live_ended = Counter(
+            "ogm_live_clients_ended_total",
+            "WebSocket clients that are served no longer, or that were not let in.",
+            ["reason"],
+            registry=None,
+        )
+        for reason in ENDED_FOR:
+            self._live_ended.labels(reason)
         self._of_requests: dict[tuple[str, str, str], tuple[Counter, Histogram]] = {}
         """Series that were looked up before: `labels` takes longer than all the rest."""
 
@@ -94,6 +104,14 @@ class Measurements:
         """Note a connection that was closed for one of `CLOSED_FOR`."""
         self._closed.labels(reason).inc()
 
+    def live_clients(self, count: int) -> None:
+        """Note how many WebSocket clients there are."""
+        self._live.set(count)
+
+    def live_ended(self, reason: str) -> None:
+        """Note that one is served no longer, for one of `ENDED_FOR`."""
+        self._live_ended.labels(reason).inc()
+
     def collect(self) -> Iterator[Metric]:
         """Everything that has been measured."""
         if self._last_integrated is not None:
@@ -101,3 +119,5 @@ class Measurements:
             yield GaugeMetricFamily("ogm_last_integrated_timestamp_seconds", text, self._last_integrated)
         for instrument in (self._age, self.integration, self._requests, self._durations, self._closed):
             yield from instrument.collect()
+        yield from self._live.collect()
+        yield from self._live_ended.collect()

@@ -32,14 +32,15 @@ class RefusedHttp:
 
         async def send_looked_at(message: Message) -> None:
             why = _WHY.get(message.get("status", 0))
-            if why is not None and message["type"] == "http.response.start":
+            if why is not None and message["type"].endswith("http.response.start"):
                 host = next((value for name, value in scope["headers"] if name == b"host"), b"")
+                method = scope.get("method", "WebSocket")
                 self._complaints.of_kind(
                     (scope.get("client") or ["somebody"])[0],
                     str(message["status"]),
-                    f"{scope['method']} {scope['path'][:MAX_SHOWN]} refused over HTTP, asked for {why} "
+                    f"{method} {scope['path'][:MAX_SHOWN]} refused over HTTP, asked for {why} "
                     f"({message['status']}; Host {host.decode('latin-1')[:MAX_SHOWN]})",
                 )
             await send(message)
 
-        await self._app(scope, receive, send if scope["type"] != "http" else send_looked_at)
+        await self._app(scope, receive, send_looked_at)

@@ -1,8 +1,11 @@
 """Same-origin check of writes over HTTP: programs and the mapper's own page may, other pages may not."""
 
+from collections.abc import Collection
+
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from ogm_core.errors import cut
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.replies.answer import CrossOrigin
 
@@ -35,14 +38,20 @@ class SameOrigin:
         await self._app(scope, receive, send)
 
 
-def _foreign(headers: Headers) -> str | None:
-    """The header that tells of another origin; None if none does."""
-    site, origin, host = (headers.get(name) for name in ("Sec-Fetch-Site", "Origin", "Host"))
-    if site is not None:
-        # "none": the user asks, by no page at all. "same-site": another port, or another name of the domain.
-        return None if site in ("same-origin", "none") else f"Sec-Fetch-Site: {site}"
-    if origin is None:
+def foreign_origin(headers: Headers, allowed: Collection[str] = ()) -> str | None:
+    """The header Origin of a page of another origin, but of those that are allowed; None if there is none."""
+    origin, host = (headers.get(name) for name in ("Origin", "Host"))
+    if origin is None or origin.lower() in allowed:
         return None
     # Not its scheme: a proxy that ends TLS speaks HTTP to the mapper.
     same = host is not None and origin.rpartition("://")[2].lower() == host.lower()
-    return None if same else f"Origin: {origin}, Host: {host}"
+    return None if same else f"Origin: {cut(origin)}, Host: {host and cut(host)}"
+
+
+def _foreign(headers: Headers) -> str | None:
+    """The header that tells of another origin; None if none does."""
+    site = headers.get("Sec-Fetch-Site")
+    if site is not None:
+        # "none": the user asks, by no page at all. "same-site": another port, or another name of the domain.
+        return None if site in ("same-origin", "none") else f"Sec-Fetch-Site: {site}"
+    return foreign_origin(headers)
