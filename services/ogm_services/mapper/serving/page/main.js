@@ -4,7 +4,7 @@ import {startCurves} from "./curves.js";
 import {Fitting} from "./fitting.js";
 import {startFollow} from "./follow.js";
 import {gridLayer} from "./grid.js";
-import {startLink} from "./link.js";
+import {Link} from "./link.js";
 import {measureLayer, startMeasure} from "./measure.js";
 import {namesLayer, robotsLayer} from "./overlay.js";
 import {startPalettes} from "./palettes.js";
@@ -20,7 +20,7 @@ import {startTools} from "./tools.js";
 import {forgetTrails, startTrails, trailsLayer} from "./trails.js";
 import {View, placesOf, tilesOf} from "./view.js";
 
-const page = {view: null, canvas: null, tiles: null, fitting: null, state};
+const page = {view: null, canvas: null, tiles: null, fitting: null, link: null, state};
 let before = null;  // the map that was told of last
 let wanted = "";  // which tiles are
 
@@ -38,6 +38,7 @@ function start(told) {
   startFollow(view);
   startTools(page);
   startPermalink(view);
+  page.link.live.awaitAll();
 }
 
 function wantTiles() {
@@ -45,6 +46,7 @@ function wantTiles() {
   const rectangle = tilesOf(page.view.now(), devicePixelRatio, 1), asked = JSON.stringify(rectangle);
   if (asked === wanted) return page.tiles.refresh();
   wanted = asked;
+  page.link.live.show(rectangle);
   page.tiles.want(placesOf(rectangle));
 }
 
@@ -55,6 +57,7 @@ function follow(told) {
     page.tiles.forget();
     page.fitting.forget();
     forgetTrails();
+    wanted = "";
   } else if (before && before.run !== told.run) page.tiles.forgetRevisions();
   before = told;
   page.fitting.keep();
@@ -70,4 +73,5 @@ subscribe("map", follow);
 subscribe("palette", () => { page.tiles?.forget(); if (page.view) wantTiles(); });
 for (const part of ["robots", "scans", "layers"]) subscribe(part, () => page.canvas?.redraw());
 globalThis.ogm = page;  // for who looks at it from the browser's console
-startLink();
+page.link = new Link(() => page.tiles);
+page.link.start();

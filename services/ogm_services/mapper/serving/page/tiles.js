@@ -1,17 +1,22 @@
 // The tiles that the page holds: pictures of 256 x 256 pixels, each with the revision that it shows.
+//
+// One that the mapper pushes changes of is live; others are asked for again once the map has another revision.
 import {ask} from "./ask.js";
 import {state} from "./state.js";
 
 const AT_ONCE = 5;  // requests; a browser opens six connections to a server
 const HELD = 200;  // at least; 256 KB each
+const NEVER = -1;
 const keyOf = (z, x, y) => `${z}/${x}/${y}`;
 
 export class Tiles {
   // `changed()` is called when another picture is there to be drawn.
   constructor(changed) {
     this.changed = changed;
-    this.held = new Map();  // by key: {z, x, y, r, tag, at, bitmap, drawn, png}
-    this.wanted = [];  // of these, those that may have changed are asked for, the first ones first
+    this.held = new Map();  // by key: {r, tag, at, live, bitmap, drawn, png}
+    this.wanted = [];  // places; those in the middle first
+    this.covered = new Set();  // keys of the places that changes are pushed of
+    this.awaiting = false;  // whether all of those come by themselves
     this.asking = new Map();
     this.draws = 0;
     this.life = 0;  // answers to what was asked in an earlier one are of no use
@@ -28,8 +33,7 @@ export class Tiles {
 
   // Revisions count anew in another process: pictures stay until it has been asked for all of them.
   forgetRevisions() {
-    for (const tile of this.held.values()) tile.r = tile.at = -1;
-    this.refresh();
+    for (const tile of this.held.values()) Object.assign(tile, {r: NEVER, at: NEVER, live: false});
   }
 
   want(places) {
@@ -37,49 +41,69 @@ export class Tiles {
     this.refresh();
   }
 
-  // Ask for those that are wanted and not known to be as the map is now.
-  refresh() {
-    for (const place of this.wanted) {
-      if (this.asking.size >= AT_ONCE) return;
-      const key = keyOf(...place), tile = this.held.get(key);
-      if (!this.asking.has(key) && !(tile && tile.at >= state.map.revision)) this.fetch(key, place);
+  // From now on changes are pushed of the tiles at these places, those since a revision, and of others no longer.
+  cover(places, since = Infinity) {
+    this.covered = new Set(places.map((place) => keyOf(...place)));
+    for (const [key, tile] of this.held) {
+      const covered = this.covered.has(key);
+      if (tile.live && !covered) Object.assign(tile, {live: false, at: state.map.revision});
+      else if (covered && tile.at >= since) tile.live = true;
     }
   }
 
-  async fetch(key, [z, x, y]) {
-    const {life} = this, at = state.map.revision, tile = this.held.get(key);
-    const asked = {};
+  // All tiles of the places that are covered have been pushed; nothing is known of those that have not.
+  complete() {
+    this.awaiting = false;
+    for (const key of this.covered) {
+      const tile = this.held.get(key) ?? {r: 0, tag: null, at: NEVER, bitmap: null, drawn: this.draws, png: null};
+      tile.live = true;
+      this.held.set(key, tile);
+    }
+  }
+
+  // Ask for those that are wanted and may have changed.
+  refresh() {
+    if (this.awaiting) return;
+    for (const place of this.wanted) {
+      if (this.asking.size >= AT_ONCE) return;
+      const key = keyOf(...place), tile = this.held.get(key);
+      if (!this.asking.has(key) && !tile?.live && !(tile?.at >= state.map.revision)) this.fetch(key, place);
+    }
+  }
+
+  async fetch(key, place) {
+    const {life} = this, at = state.map.revision, tag = this.held.get(key)?.tag, asked = {};
     this.asking.set(key, asked);
+    let told = false;
     try {
-      const headers = tile?.tag ? {"If-None-Match": tile.tag} : {};
+      const headers = tag ? {"If-None-Match": tag} : {};
       const reply = await ask(`tiles/${key}.png?palette=${state.palette}`, {headers});
-      const body = await reply.arrayBuffer(), png = reply.ok ? body : null;
-      if (life !== this.life) return;
-      const epoch = reply.headers.get("OGM-Epoch"), said = reply.headers.get("OGM-Revision");
-      if (epoch !== state.map.epoch) return;  // it comes again with the new map
-      const r = Number(said ?? 0);
-      if (png) this.put([z, x, y], r, said === null ? null : png, reply.headers.get("ETag"));
-      const now = this.held.get(key);
-      if (!now || !(png || reply.status === 304)) return;
-      now.r = Math.max(now.r, r);
-      now.at = Math.max(now.at, at);
+      const png = await reply.arrayBuffer(), said = reply.headers.get("OGM-Revision"), r = Number(said ?? 0);
+      // Of another map it comes again, with the news of that.
+      if (life !== this.life || reply.headers.get("OGM-Epoch") !== state.map.epoch) return;
+      if (reply.ok) this.put(place, r, said === null ? null : png, {tag: reply.headers.get("ETag")});
+      const tile = this.held.get(key);
+      if (!tile || !(reply.ok || reply.status === 304)) return;
+      Object.assign(tile, {r: Math.max(tile.r, r), at: Math.max(tile.at, at), live: this.covered.has(key)});
+      told = true;
     } catch {
       // The link says when the mapper is gone, and asks again when it is back.
     } finally {
       if (this.asking.get(key) === asked) this.asking.delete(key);
-      if (life === this.life && this.held.get(key)?.at >= at) this.refresh();
+      if (told) this.refresh();
     }
   }
 
   // A tile as it is since revision `r`, unless a newer one is held; no bytes: nothing is known there.
-  async put([z, x, y], r, png, tag = null) {
+  async put([z, x, y], r, png, {tag = null, pushed = false} = {}) {
     const key = keyOf(z, x, y), before = this.held.get(key), {life} = this;
     if (before && before.r >= r) return;
-    const tile = {at: -1, bitmap: null, drawn: this.draws, ...before, z, x, y, r, tag, png};
+    const tile = {at: NEVER, live: false, bitmap: null, drawn: this.draws, ...before, r, tag, png};
+    tile.live ||= pushed && this.covered.has(key);
     this.held.set(key, tile);
     const bitmap = png && await createImageBitmap(new Blob([png], {type: "image/png"}));
     if (life !== this.life || this.held.get(key) !== tile) { bitmap?.close(); return; }
-    before?.bitmap?.close();
+    tile.bitmap?.close();
     tile.bitmap = bitmap;
     this.letGo();
     this.changed();

@@ -1,9 +1,7 @@
 // The view of the map: Leaflet pans and zooms it, in metres of the map frame; zoom 0 is a pixel a cell.
-import {state} from "./state.js";
-
 const {L} = globalThis;
 export const NATIVE_Z = 16, LEVELS = 6;
-const SIZE = 256;
+const SIZE = 256, MOST = 256;
 
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 export const place = (x, y) => L.latLng(y, x);
@@ -69,15 +67,17 @@ export class View {
   }
 }
 
-// The tiles that a view shows, and `margin` more around: their z, and the first and last of x and y.
-export function tilesOf({zoom, width, height, left, top}, ratio, margin = 0) {
-  const level = Math.min(0, Math.max(-LEVELS, Math.round(zoom + Math.log2(ratio))));
-  const side = SIZE * 2 ** (zoom - level);
-  return {
-    z: NATIVE_Z + level, side,
-    x0: Math.floor(left / side) - margin, x1: Math.ceil((left + width) / side) - 1 + margin,
-    y0: Math.floor(top / side) - margin, y1: Math.ceil((top + height) / side) - 1 + margin,
-  };
+// The tiles that a view shows, and `margin` more around: their z, and the first and last of x and y. At most MOST:
+// on a large screen they are shown smaller than pixel by pixel.
+export function tilesOf(view, ratio, margin = 0) {
+  const {zoom, width, height, left, top} = view;
+  const wanted = Math.min(0, Math.max(-LEVELS, Math.round(zoom + Math.log2(ratio))));
+  for (let level = wanted; ; level--) {
+    const side = SIZE * 2 ** (zoom - level), last = level === -LEVELS;
+    const x0 = Math.floor(left / side) - margin, x1 = Math.ceil((left + width) / side) - 1 + margin;
+    const y0 = Math.floor(top / side) - margin, y1 = Math.ceil((top + height) / side) - 1 + margin;
+    if (last || (x1 - x0 + 1) * (y1 - y0 + 1) <= MOST) return {z: NATIVE_Z + level, side, x0, x1, y0, y1};
+  }
 }
 
 // [z, x, y] of each, those in the middle first.
@@ -87,5 +87,3 @@ export function placesOf({z, x0, y0, x1, y1}) {
   const off = ([, x, y]) => Math.hypot(2 * x - x0 - x1, 2 * y - y0 - y1);
   return places.sort((one, other) => off(one) - off(other));
 }
-
-export const isEmpty = () => !state.map?.extent;
