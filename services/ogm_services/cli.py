@@ -17,7 +17,9 @@ from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.erase import erase
 from ogm_services.commands.foxglove_flags import foxglove
-from ogm_services.commands.log_flags import LogFlags, check_replayed
+from ogm_services.commands.held_scans import HeldScans
+from ogm_services.commands.log_flags import Log, LogFlags, check_replayed
+from ogm_services.commands.quality_flags import quality
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_options import SimulatorOptions
@@ -98,14 +100,6 @@ MapperOut = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR", help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here."
-    ),
-]
-Log = Annotated[
-    Path,
-    typer.Argument(
-        metavar="LOG",
-        help="Recording (.jsonl, .mcap), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a "
-        "bag of ROS 2 (folder, .db3, .mcap) or ROS 1 (.bag).",
     ),
 ]
 
@@ -410,8 +404,7 @@ def build(
     ] = None,
 ) -> None:
     """Make a map of a recorded log, without network."""
-    if hold_out is not None and hold_out < 2:
-        raise BadInput(f"--hold-out: 2 or more is needed, got {hold_out}")
+    held = HeldScans(hold_out)
     robots = log_flags.robots
     settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
@@ -423,10 +416,13 @@ def build(
             out,
             settings,
             read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics)),
-            hold_out=hold_out,
+            held=held,
             world=world,
             figure=figure,
         )
+
+
+app.command(rich_help_panel=FILES)(quality)
 
 
 @app.command(rich_help_panel=FILES)

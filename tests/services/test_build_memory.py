@@ -5,6 +5,7 @@ import json
 import pytest
 
 from ogm_services.commands import build, log_readers
+from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 from rough_log import write_rough_log
 
@@ -34,7 +35,7 @@ def test_a_log_is_read_again_only_if_its_scans_are_too_many(tmp_path, monkeypatc
     def quality(room):
         monkeypatch.setattr(build, "MAX_KEPT", room)
         opened.clear()
-        build.run_build(log, tmp_path, settings, hold_out=hold_out)
+        build.run_build(log, tmp_path, settings, held=HeldScans(hold_out))
         return json.loads((tmp_path / "quality.json").read_text()), len(opened)
 
     expected, times = quality(0)

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ogm_core.errors import BadRecording, LimitReached
 from ogm_core.lattice import Region
 from ogm_services.cli import app
+from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_readers import ReadAs
 from ogm_services.commands.simulator_options import SimulatorOptions
 
@@ -107,7 +108,7 @@ def test_help_lists_commands_by_what_they_work_on(ogm):
     assert " ".join(panel or command for panel, command in shown) == (
         "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
         "A running mapper and its map get status erase foxglove snapshot "
-        "Recordings and stored maps, without network build info repair"
+        "Recordings and stored maps, without network build quality info repair"
     )
 
 
@@ -393,6 +394,22 @@ def test_replay_runs_as_recorded_unless_told_otherwise(ogm, stub):
     assert run.options == {"speed": 1.0, "read_as": ReadAs()}
 
 
+def test_quality(ogm, stub):
+    run = stub("ogm_services.commands.quality", "run_quality")
+    flags = "--every 5 --blocks --hold-out 4 --range-max 79 --alpha 0.2 --models sector,dda --json"
+    assert ogm("quality", "a.log", "b.log", *flags.split()).exit_code == 0
+    logs, variants, held = run.args
+    assert logs == [Path("a.log"), Path("b.log")]
+    assert {name: (of.map.sensor_model, of.map.traversal, of.map.alpha) for name, of in variants.items()} == {
+        "sector": ("sector", "bresenham", 0.2),
+        "dda": ("beam", "dda", 0.2),
+    }
+    assert held == HeldScans(4, every=5, blocks=True)
+    assert run.options == {"read_as": ReadAs(79.0), "as_json": True, "figure": None}
+    assert ogm("quality", "a.log", "--traversal", "dda").exit_code == 0
+    assert (list(run.args[1]), run.args[2]) == (["dda"], HeldScans(10))
+
+
 def test_build(ogm, stub):
     run = stub("ogm_services.commands.build", "run_build")
     flags = "--out maps --hold-out 5 --range-max 8 --preset lab"
@@ -400,7 +417,7 @@ def test_build(ogm, stub):
     log, out, settings = run.args
     assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
     rest = {"world": None, "figure": None}
-    assert run.options == {"read_as": ReadAs(8.0), "hold_out": 5, **rest}
+    assert run.options == {"read_as": ReadAs(8.0), "held": HeldScans(5), **rest}
     robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")
     assert ogm("build", "a.jsonl", "--out", "maps", *robots).exit_code == 0
     assert run.options["read_as"].robot == "r2"

@@ -48,7 +48,7 @@ def played(desk, messages):
 def read(path, messages, settings=None):
     """What comes of a log of these: the sink's scans, and the status."""
     write_jsonl(path, messages)
-    sink, feed = Sink(), LogFeed(settings or Settings(), None)
+    sink, feed = Sink(), LogFeed(settings or Settings())
     sink.withheld = set()
     with RecordingReader(path) as reader:
         feed.run(reader, sink, "reading")

@@ -254,7 +254,7 @@ def test_a_log_is_read_by_the_same_limits(tmp_path):
     messages += [RecordedScan("r5", f"s{k}", scan) for k in range(16)]
     messages += [RecordedPose("r1000", PoseStamped(T0, IDENTITY))]
     write_jsonl(tmp_path / "log.jsonl", messages)
-    sink, feed = Sink(), LogFeed(Settings(), None)
+    sink, feed = Sink(), LogFeed(Settings())
     sink.withheld = set()
     with RecordingReader(tmp_path / "log.jsonl") as reader:
         feed.run(reader, sink, "reading")

@@ -16,7 +16,6 @@ import typer
 from ogm_core.errors import MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
-from ogm_core.placing.receipts import Receipts
 from ogm_core.quality.figures import Consistency, hints_by, quality_figures
 from ogm_core.quality.held_out import held_out
 from ogm_core.quality.truth import truth_figures
@@ -25,8 +24,10 @@ from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
+from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
 from ogm_services.commands.log_feed import LogFeed, LogSink
 from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, ReadAs, log_reader
+from ogm_services.commands.log_report import doubts, outcomes
 from ogm_services.results.driven_paths import DrivenPath
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import check_place, write_map
@@ -45,13 +46,13 @@ def run_build(
     settings: Settings,
     *,
     read_as: ReadAs = AS_IT_SAYS,
-    hold_out: int | None,
+    held: HeldScans = ALL_MAPPED,
     world: str | None = None,
     figure: Path | None = None,
 ) -> None:
     """Map a log and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
 
-    `hold_out` N keeps scan i of the file out of the map if i % N == N // 2, and judges the map by it.
+    `held` keeps scans out of the map, and judges it by them.
     `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
 
     Raises:
@@ -66,21 +67,17 @@ def run_build(
         check_figure(figure, out)
     reader = log_reader(log, read_as, settings, max_beams=max_beams, decimals=read_decimals)
     grid = OccupancyGrid(settings.grid_settings())
-    first, feed = _MapPass(grid), LogFeed(settings, hold_out)
+    first, feed = _MapPass(grid), LogFeed(settings, held)
     with reader() as messages:
         feed.run(messages, first, "mapping", hints_by(grid.snapshot, grid.settings, lambda: grid.time.time))
     snapshot = grid.snapshot()
-    report = _report(messages, feed.receipts, first)
+    report = outcomes(messages, feed, grid.revision, len(first.held))
     complaints = feed.complaints.lines()
     if snapshot.empty or not grid.cell_updates:
         raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
-    complaints += [f"sensors: {glob}: no sensor of this log is called so" for glob in feed.sensors.unmatched]
-    complaints += [f"robots: {glob}: no robot of this log is called so" for glob in feed.robots.unmatched]
-    if messages.doubt:
-        complaints.append(f"{log}: {messages.doubt}")
-    for line in complaints:
+    for line in [*complaints, *doubts(log, messages, feed)]:
         typer.echo(line, err=True)
-    quality = _judged(reader, snapshot, first, hold_out, settings)
+    quality = _judged(reader, snapshot, first, held, settings)
     if true_world is not None:
         quality["truth"] = truth_figures(snapshot, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
@@ -160,7 +157,7 @@ def _judged(
     reader: Callable[[], LogReader],
     snapshot: MapSnapshot,
     first: _MapPass,
-    hold_out: int | None,
+    held: HeldScans,
     settings: Settings,
 ) -> dict[str, Any]:
     """The figures of a finished map."""
@@ -169,32 +166,16 @@ def _judged(
     if first.kept.scans is None:
         with reader() as messages:
             second = _JudgePass(consistency, iter(first.accepted))
-            LogFeed(settings, hold_out).run(messages, second, "judging")
+            LogFeed(settings, held).run(messages, second, "judging")
     else:
         with progress_bar("judging", len(first.kept.scans)) as show:
             for done, placed in enumerate(first.kept.scans, 1):
                 consistency.add(placed)
                 show(done)
     quality = quality_figures(snapshot, consistency, grid.cell_updates)
-    if hold_out is not None:
+    if held.hold_out is not None:
         quality["held_out"] = held_out(snapshot, grid.settings, first.held)
     return quality
-
-
-def _report(messages: LogReader, receipts: Receipts, first: _MapPass) -> str:
-    counts = receipts.status()
-    parts = [f"{messages.scans} scans read", f"{first.grid.revision} integrated"]
-    if first.held:
-        parts.append(f"{len(first.held)} held out")
-    parts += [f"{count} dropped: {reason}" for reason, count in counts.scans.dropped.items() if count]
-    if counts.scans.beams_on_robots:
-        parts.append(f"{counts.scans.beams_on_robots} beams skipped that ended at other robots")
-    parts += [f"{count} poses {what}" for what, count in counts.poses.odd.items()]
-    if messages.malformed:
-        parts.append(f"{messages.malformed} malformed {messages.unit} ({'; '.join(messages.complaints)})")
-    if messages.not_read:
-        parts.append(f"not read: {messages.not_read}")
-    return ", ".join(parts)
 
 
 def _truth_report(world: World, figures: dict[str, float | None]) -> str:

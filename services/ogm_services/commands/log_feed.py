@@ -14,6 +14,7 @@ from ogm_core.placing.scan_placer import ROBOTS, ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.types import Scan
+from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
 from ogm_services.commands.log_readers import LogReader
 from ogm_services.runtime.complaints import Complaints
 from ogm_services.runtime.progress import progress_bar
@@ -32,17 +33,17 @@ class LogSink(ScanSink, Protocol):
 class LogFeed:
     """One pass over a log, and what was counted and complained of in it.
 
-    `hold_out` N withholds scan i of the file, as it is counted there, if i % N == N // 2.
+    `held` says which scans are withheld, and which are passed over.
     """
 
-    def __init__(self, settings: Settings, hold_out: int | None) -> None:
+    def __init__(self, settings: Settings, held: HeldScans = ALL_MAPPED) -> None:
         self.receipts = Receipts()
         self.complaints = Complaints()
         self.sensors = SensorRules(settings.sensor_rules())
         self.robots = RobotRules(settings.robot_rules())
         self._mark_hits = hits_at_robots(settings.grid_settings())
         self._rules = settings.placing_rules()
-        self._hold_out = hold_out
+        self._held = held
 
     def run(self, messages: LogReader, sink: LogSink, text: str, hints: Hints | None = None) -> None:
         """Send every message to `sink`, up to and including what waits for poses; `text` names the pass."""
@@ -60,9 +61,8 @@ class LogFeed:
                 # A message makes scans of its own robot ready, and of no other.
                 sink.robot = message.robot
                 if isinstance(message, RecordedScan):
-                    n = self._hold_out
-                    held_out = n is not None and index % n == n // 2
-                    self._take_scan(placer, sink, message, held_out=held_out)
+                    if self._held.counts(index):
+                        self._take_scan(placer, sink, message, held_out=self._held.holds(index))
                     index += 1
                     show(messages.position)
                 else:

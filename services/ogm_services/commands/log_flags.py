@@ -1,6 +1,7 @@
 """Flags of a log that is read: what it does not say itself."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -8,10 +9,17 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.settings.entries import FORM, check_for_whom
 
+_KINDS = (
+    "Recording (.jsonl, .mcap), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a bag of "
+    "ROS 2 (folder, .db3, .mcap) or ROS 1 (.bag)."
+)
+Log = Annotated[Path, typer.Argument(metavar="LOG", help=_KINDS)]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help=_KINDS)]
+
 
 @dataclass(frozen=True)
 class LogFlags:
-    """Log flags of build and replay; the reader of the log judges the values."""
+    """Log flags of build, quality and replay; the reader of the log judges the values."""
 
     range_max: Annotated[
         float | None,

@@ -77,7 +77,7 @@ def draw_map(
     if shown.factor > snapshot.factor:
         description += f", drawn in blocks of {shown.resolution:g} m"
     frame = _frame(shown)
-    with _own_style():
+    with own_style():
         figure = Figure(dpi=DPI)
         main, bar = figure.add_axes((0.0, 0.0, 1.0, 1.0)), figure.add_axes((0.0, 0.0, 1.0, 1.0))
         image = _draw_cells(main, shown)
@@ -102,7 +102,7 @@ def encode_figure(figure: Figure, form: str) -> bytes:
     """A figure as a file: png, pdf or svg. Equal figures give equal bytes."""
     undated: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     file = io.BytesIO()
-    with _own_style(), warnings.catch_warnings():
+    with own_style(), warnings.catch_warnings():
         # What the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         figure.savefig(file, format=form, metadata=undated.get(form))
@@ -110,7 +110,7 @@ def encode_figure(figure: Figure, form: str) -> bytes:
 
 
 @contextmanager
-def _own_style() -> Iterator[None]:
+def own_style() -> Iterator[None]:
     """Inside, matplotlib draws as we say, whatever the user's matplotlibrc says."""
     with mpl.rc_context():
         mpl.rcdefaults()

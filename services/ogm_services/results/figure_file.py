@@ -9,8 +9,8 @@ from ogm_services.results.written import written
 FORMATS = ("png", "pdf", "svg")
 
 
-def check_figure(path: Path, out: Path) -> None:
-    """Refuse a figure that could not be drawn and written; `out` is the folder that the map will go to.
+def check_figure(path: Path, out: Path | None = None) -> None:
+    """Refuse a figure that could not be drawn and written; `out` is the folder that a map will go to, if any.
 
     Raises:
         BadInput: the format is none of ours, matplotlib is missing, or the file cannot be written.
@@ -18,7 +18,7 @@ def check_figure(path: Path, out: Path) -> None:
     if format_of(path) not in FORMATS:
         names = ", ".join(f".{name}" for name in FORMATS)
         raise BadInput(f"--figure {path}: a name that ends in one of {names} is needed")
-    inside = path.parent.resolve() == out.resolve()
+    inside = out is not None and path.parent.resolve() == out.resolve()
     if inside and path.name == "map.png":
         raise BadInput(f"--figure {path}: the map's own picture has that name: give another one")
     try:
