@@ -2,15 +2,17 @@
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm_client.grid_queries import GridQueries
 from ogm_client.notebook import html_of
+from ogm_client.plot import current_axes, plot_map
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
@@ -20,7 +22,11 @@ from ogm_core.files.file_names import check_suffix, ros_map_names
 from ogm_core.files.map_files import MAX_NPZ_BYTES, encode_pgm, encode_png, encode_yaml, load_npz
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.status import RobotStatus
 from ogm_core.whole_files import whole_file, write_files
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,6 +218,23 @@ class MapGrid(GridQueries):
         # As the core stores them: a known log odds of zero is -0.0, unknown +0.0.
         exact = self.log_odds.astype(np.float64)
         return self._snapshot_of(np.where(self.known, np.where(exact == 0.0, -0.0, exact), 0.0))
+
+    def plot(self, ax: "Axes | None" = None, *, robots: Mapping[str, RobotStatus] | None = None) -> "Axes":
+        """Draw the map with matplotlib, in metres; return the axes.
+
+            grid.plot(robots=mapper.status().robots).figure.savefig("map.pdf")
+
+        `ax` None: the axes that pyplot draws into. Black is occupied, white free; what is unknown is light
+        blue. `robots` are drawn where they were last, but for those that are gone. No side has more than 2000
+        pixels: cells are joined in square blocks, where occupied wins, then free.
+
+        Raises:
+            MapEmpty: there is no cell to draw.
+            MissingExtra: matplotlib is not installed.
+        """
+        axes = current_axes() if ax is None else ax
+        plot_map(axes, self.to_snapshot(), robots or {})
+        return axes
 
     @property
     def _lattice(self) -> Lattice:

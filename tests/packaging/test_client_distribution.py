@@ -160,9 +160,13 @@ def test_it_states_what_it_imports_as_the_whole_project_states_it(built, reached
     assert {"numpy", "eclipse-zenoh"} < imported
     needed = metadata(built.client).get_all("Requires-Dist")
     assert {re.match(r"[\w-]+", need)[0] for need in needed} == imported
-    # SciPy is loaded only by who asks for distances: an extra.
-    assert [need for need in needed if "extra" in need] == ["scipy>=1.14; extra == 'distance'"]
-    assert {need.partition(";")[0] for need in needed} < set(WHOLE["dependencies"])
+    # SciPy is loaded only by who asks for distances, matplotlib by who plots: extras.
+    assert [need for need in needed if "extra" in need] == [
+        "scipy>=1.14; extra == 'distance'",
+        "matplotlib>=3.9; extra == 'plot'",
+    ]
+    stated = {*WHOLE["dependencies"], *WHOLE["optional-dependencies"]["plot"]}
+    assert {need.partition(";")[0] for need in needed} < stated
 
 
 def test_it_says_of_itself_what_the_whole_project_says(built):

@@ -17,13 +17,13 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
+from ogm_client.plot import ROBOTS, UNKNOWN, draw_cells
 from ogm_core.errors import printable
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
@@ -41,10 +41,7 @@ MARGIN = 0.02
 """What is shown around the map, as a share of its longer side."""
 TICKS = 6
 """About so many ticks along the longer side."""
-UNKNOWN = "#cfe0ee"
 OBSTACLES = "#d55e00"
-ROBOTS = ("#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#5d3a9b", "#e69f00")
-"""Colours that the colour-blind tell apart; the legend names as many robots."""
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.linewidth": 0.6,
@@ -80,7 +77,7 @@ def draw_map(
     with own_style():
         figure = Figure(dpi=DPI)
         main, bar = figure.add_axes((0.0, 0.0, 1.0, 1.0)), figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        image = _draw_cells(main, shown)
+        image = draw_cells(main, shown)
         figure.colorbar(image, cax=bar, ticks=[0.0, 0.25, 0.5, 0.75, 1.0], label="p(occupied)")
         handles: list[Artist] = [Patch(facecolor=UNKNOWN, edgecolor="0.5", linewidth=0.5, label="unknown")]
         if world is not None:
@@ -145,24 +142,6 @@ def _frame(shown: MapSnapshot) -> _Frame:
     return _Frame(Region(*corners), columns * pixels / DPI, rows * pixels / DPI)
 
 
-def _draw_cells(axes: Axes, shown: MapSnapshot) -> AxesImage:
-    """Black is occupied, white is free; what is unknown, or outside the map, has a colour of its own."""
-    ix, iy, width, height = shown.rect
-    xmin, ymin = shown.origin
-    xmax, ymax = shown.lattice.corner_of(ix + width, iy + height)
-    axes.set_facecolor(UNKNOWN)
-    probability, known = shown.published()
-    return axes.imshow(
-        np.ma.masked_where(~known, probability),
-        cmap=mpl.colormaps["gray_r"].with_extremes(bad=UNKNOWN),
-        vmin=0.0,
-        vmax=1.0,
-        origin="lower",
-        extent=(xmin, xmax, ymin, ymax),
-        interpolation="nearest",
-    )
-
-
 def _set_axes(axes: Axes, view: Region) -> None:
     """Both axes show the view in metres, with ticks equally far apart."""
     axes.set(xlim=view[::2], ylim=view[1::2], xlabel="x (m)", ylabel="y (m)")
@@ -202,7 +181,7 @@ def _reach_into(view: Region, lower: Floats, upper: Floats) -> NDArray[np.bool_]
 
 def _draw_paths(axes: Axes, paths: Mapping[str, DrivenPath]) -> list[Line2D]:
     """Every robot's way, from a dot on; the handles are those that the legend has room for."""
-    handles = []
+    handles = []  # the legend names as many robots as there are colours
     for k, (robot, path) in enumerate(paths.items()):
         x, y = path.line().T
         (line,) = axes.plot(x, y, color=ROBOTS[k % len(ROBOTS)], linewidth=0.7)
