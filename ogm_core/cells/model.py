@@ -88,9 +88,8 @@ class CellEvidence(Protocol):
         store: Any,  # noqa: ANN401 - a TileStore
         window: Any,  # noqa: ANN401 - a CellRect
         revision: int,
-        names: tuple[str, ...],
     ) -> int:
-        """Count in several planes at once: of evidence for models that take `lengths`."""
+        """Count in all planes of the store at once: of evidence for models that take `lengths`."""
 
 
 class CellModel(ABC):

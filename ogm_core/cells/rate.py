@@ -73,7 +73,7 @@ class Rate(_Counted):
         self, evidence: CellEvidence, store: object, window: tuple[int, int, int, int], revision: int
     ) -> int:
         """Count a scan's beams (see sensor_models.passing)."""
-        return evidence.update_planes(store, window, revision, tuple(plane.name for plane in PLANES))
+        return evidence.update_planes(store, window, revision)
 
     def published(self, planes: Planes) -> tuple[Probability, Known]:
         """Probability and whether known, of the cells."""

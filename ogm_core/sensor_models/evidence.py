@@ -79,17 +79,13 @@ class Evidence:
         store.tiles_used += fresh
         return int(updates)
 
-    def update_planes(self, store: TileStore, window: CellRect, revision: int, names: tuple[str, ...]) -> int:
-        """Count in planes, some of cells and some of halves, as `passing` does; returns how many updates."""
-        planes = [store.planes[name] for name in names]
-        columns = tuple(next(plane.column for plane in planes if plane.side == side) for side in (1, 2))
+    def update_planes(self, store: TileStore, window: CellRect, revision: int) -> int:
+        """Count in all planes of the store at once, those of cells and those of halves, as `passing` does.
+
+        Returns how many updates.
+        """
         updates, fresh = self.kernels.update_planes(
-            *self.arrays,
-            tuple(window),
-            store.touched,
-            revision,
-            columns,
-            tuple(plane.cells for plane in planes),
+            *self.arrays, tuple(window), store.touched, revision, store.columns, store.cells
         )
         store.tiles_used += fresh
         return int(updates)

@@ -177,13 +177,41 @@ def _count_hit(
         address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
         passing[address] = np.int64(passing[address]) + ((weight * entered(line) + 8) >> 4)
         updates += 1
+    return updates, fresh + _share_hit(u, v, range_weight, window, touched, revision, column, hits)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _share_hit(
+    u: int,
+    v: int,
+    weight: int,
+    window: CellRect,
+    touched: NDArray[np.int64],
+    revision: int,
+    column: NDArray[np.int64],
+    hits: NDArray[np.uint32],
+) -> int:
+    """Share a hit among the four halves around its point; returns the number of fresh tiles."""
+    i, j, last = (u - 4) >> 3, (v - 4) >> 3, 2 * TILE - 1
+    if (
+        (i & last != last)
+        & (j & last != last)
+        & half_inside(i, j, window)
+        & half_inside(i + 1, j + 1, window)
+    ):
+        address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
+        for q in range(4):  # all in one tile
+            at = address + np.uint64((q & 1) + (q >> 1) * 2 * TILE)
+            hits[at] = np.int64(hits[at]) + share_of_hit(q, u, v)[2] * weight
+        return int(touch(touched, i >> 1, j >> 1, revision))
+    fresh = 0
     for q in range(4):
         i, j, share = share_of_hit(q, u, v)
         if share and half_inside(i, j, window):
             address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
-            hits[address] = np.int64(hits[address]) + share * range_weight
+            hits[address] = np.int64(hits[address]) + share * weight
             fresh += touch(touched, i >> 1, j >> 1, revision)
-    return updates, fresh
+    return fresh
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

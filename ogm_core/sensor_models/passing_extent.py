@@ -54,13 +54,25 @@ def _box_of(
 
 
 @njit(cache=True, error_model="numpy")
+def _farthest(ends: NDArray[np.int64], side: int) -> int:
+    """The beam that ends farthest in the west, the east, the south or the north."""
+    places, sign, found = ends[IX if side < 2 else IY], 1 - 2 * (side & 1), 0
+    for b in range(1, places.size):
+        if sign * places[b] < sign * places[found] and ends[KIND, b] != SKIPPED:
+            found = b
+    return found
+
+
+@njit(cache=True, error_model="numpy")
 def extent(ends: NDArray[np.int64], weights: NDArray[np.int64]) -> tuple[int, int, int, int]:
     """Smallest rectangle (ix, iy, width, height) of cells in which the beams count; width 0 if in none.
 
-    Only beams that may reach out of what is found so far are looked at closely.
+    Only beams that may reach out of what is found so far are looked at closely, the farthest ones first.
     """
     box = 2**62, 2**62, -(2**62), -(2**62)
-    for b in range(ends.shape[1]):
+    count = ends.shape[1]
+    for n in range(-4 if count else 0, count):
+        b = n if n >= 0 else _farthest(ends, n & 3)
         kind, u0, v0, u1, v1 = ends[KIND, b], ends[IX0, b], ends[IY0, b], ends[IX, b], ends[IY, b]
         if kind == SKIPPED or cell_of((u0 ^ u1) | (v0 ^ v1)) == 0:
             continue

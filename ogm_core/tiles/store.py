@@ -68,6 +68,10 @@ class TileStore:
         self.rect = CellRect(tx * TILE, ty * TILE, shape[0] * TILE, shape[1] * TILE)
         self._memory: dict[str, mmap.mmap] = {}
         self.planes: Mapping[str, StoredPlane] = {plane.name: self._reserve(plane, shape) for plane in planes}
+        self.cells = tuple(plane.cells for plane in self.planes.values())
+        """The planes' cells, in order, for kernels that take them all."""
+        self.columns = tuple({plane.side: plane.column for plane in self.planes.values()}.values())
+        """The addresses of columns, for these kernels: of planes of side 1, of those of side 2."""
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.aged: NDArray[np.int64] | None = None
