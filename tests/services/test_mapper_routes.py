@@ -218,6 +218,7 @@ def test_the_page_is_found_below_any_path_and_caches_keep_its_files_for_good(cro
         "leaflet.css",
         "main.js",
         "page.css",
+        "panel.css",
     }
     for address in addresses:
         assert urljoin("/robots/", address).startswith("/robots/")

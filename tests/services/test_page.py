@@ -13,6 +13,7 @@ import pytest
 from ogm_core.status import RobotStatus, SourceStatus, encode_status
 from ogm_core.types import Pose
 from ogm_services.mapper.serving.page_routes import PageFiles
+from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 from status_json import STATUS
 
 PAGE = PageFiles()
@@ -26,7 +27,7 @@ HERE = Pose(1.0, -2.5, 0.0)
 
 @pytest.fixture
 def shown(tmp_path):
-    """`shown(status)`: the rows of the page's tables, texts by table and row."""
+    """`shown(status)`: the page's document, once a browser has filled it in."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("no Chromium is installed")
@@ -88,29 +89,45 @@ def shown(tmp_path):
 
 def rows(dom, table):
     (inside,) = re.findall(rf'<table id="{table}">(.*?)</table>', dom, re.DOTALL)
-    cells = (re.findall(r"<t[dh]>(.*?)</t[dh]>", row) for row in inside.split("</tr>"))
-    return [[re.sub("<[^>]*>", "", cell) for cell in row] for row in cells if row]
+    return [texts(row) for row in re.findall("<tr>(.*?)</tr>", inside)]
+
+
+def texts(inside):
+    return [text for text in re.split("<[^>]*>", inside) if text]
+
+
+def cards(dom):
+    (inside,) = re.findall(r'<ul id="robots">(.*?)</ul>', dom, re.DOTALL)
+    return [(kind, texts(card)) for kind, card in re.findall(r'<li(?: class="(.*?)")?>(.*?)</li>', inside)]
 
 
 def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
-    front = SourceStatus("a", 9, 12, 1, 4, {"no_pose": 5, "superseded": 2}, ["range_max"], 3)
+    front = SourceStatus("a", 9, 12, 1, 4, {"no_pose": 5, "superseded": 2}, ["range_max"], 3, 6)
     status = replace(
         STATUS,
         map_info=replace(STATUS.map_info, width=0, height=0),
         robots={
             "here": RobotStatus(HERE, 7, True, 0.25, {"front": front}),
             "quiet": RobotStatus(None, None, True, None),
+            "still": RobotStatus(HERE, 7, True, 5.5),
             "leaving": RobotStatus(HERE, 7, False, 59.0, {"s": SourceStatus("a", 1, 2, 0, 2)}),
             "gone": RobotStatus(HERE, 7, False, 61.0, {"s": SourceStatus("a", 1, 2, 0, 1, {"stale": 1})}),
         },
     )
     dom = shown(status)
-    assert rows(dom, "robots") == [
-        ["name", "x, y (m)", "alive", "heard", "scans"],
-        ["here", "1.0, -2.5", "yes", "0 s ago", "4"],
-        ["leaving", "1.0, -2.5", "no", "59 s ago", "2"],
-        ["quiet", "none", "yes", "never", "0"],
+    helped = [
+        *("front: no_pose", "5", WHAT_HELPS["no_pose"], "front: superseded", "2", WHAT_HELPS["superseded"]),
+        *("front: lost", "3", LOST_HELPS, "front: beams on robots", "6", ON_ROBOTS_MEANS),
+        *("front: hint range_max", HINT_HELPS),
     ]
+    said = "10 not in the map: no_pose, superseded, lost, beams on robots, hint range_max"
+    assert cards(dom) == [
+        ("", ["here", "alive", "1.0, -2.5 m", "4 scans, 0.0 /s", said, *helped]),
+        ("silent", ["leaving", "silent 59 s", "1.0, -2.5 m", "2 scans"]),
+        ("silent", ["quiet", "never heard", "no pose", "0 scans"]),
+        ("silent", ["still", "silent 6 s", "1.0, -2.5 m", "0 scans"]),
+    ]
+    assert '<small id="count">4</small>' in dom
     told = dict(row for row in rows(dom, "facts") if row[0].startswith("poses "))
     assert told == {
         "poses malformed": "1",
@@ -125,17 +142,12 @@ def test_the_page_tells_who_is_there_and_what_is_not_in_the_map(shown):
     facts = dict(rows(dom, "facts"))
     assert facts["scans lost"] == "8"
     assert not [name for name in facts if "replayed" in name]
-    assert rows(dom, "reasons") == [
-        ["here/front: no_pose", "5"],
-        ["here/front: superseded", "2"],
-        ["here/front: lost", "3"],
-        ["here/front: hint range_max", "see the log"],
-    ]
-    assert '<section id="wrong">' in dom
+    assert "· 8 lost</span>" in dom
+    assert 'id="missing" open="" hidden=""' in dom
 
 
 def test_a_page_of_a_map_that_lacks_nothing_says_nothing_of_it(shown):
     status = replace(STATUS, map_info=replace(STATUS.map_info, width=0, height=0), robots={})
     dom = shown(status)
-    assert rows(dom, "robots") == [["none yet"]]
-    assert '<section id="wrong" hidden="">' in dom
+    assert cards(dom) == []
+    assert '<small id="count">none yet</small>' in dom

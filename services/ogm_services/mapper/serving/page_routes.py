@@ -1,6 +1,7 @@
 """Routes of the live page: the document, and the files that it loads, which are this program's own."""
 
 import hashlib
+import json
 from importlib.resources import files
 
 from fastapi import FastAPI, Request, Response
@@ -8,6 +9,7 @@ from starlette.exceptions import HTTPException
 
 from ogm_services.mapper.serving.api_description import responses
 from ogm_services.mapper.serving.handlers import add_get
+from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 
 STATIC_PATH = "/static/{version}/{name}"
 _PAGE = "index.html"
@@ -36,6 +38,7 @@ class PageFiles:
         leaflet = files("js_lib_leaflet") / "static" / "js_lib_leaflet"
         found = [*folder.iterdir(), *(leaflet / name for name in _LEAFLET)]
         texts = {file.name: file.read_bytes() for file in sorted(found, key=lambda file: file.name)}
+        texts["what_helps.js"] = _what_helps()
         digest = hashlib.sha256()
         for name, text in texts.items():
             digest.update(f"{name} {len(text)} ".encode() + text)
@@ -54,6 +57,12 @@ class PageFiles:
             raise HTTPException(404)
         media_type = _MEDIA_TYPES[name.rpartition(".")[2]]
         return Response(self.texts[name], media_type=media_type, headers=_FOR_GOOD)
+
+
+def _what_helps() -> bytes:
+    """The words of `ogm status` for what is not in the map, as a module of the page."""
+    words = {"DROPPED": WHAT_HELPS, "LOST": LOST_HELPS, "ON_ROBOTS": ON_ROBOTS_MEANS, "HINT": HINT_HELPS}
+    return "".join(f"export const {name} = {json.dumps(said)};\n" for name, said in words.items()).encode()
 
 
 def add_page_routes(app: FastAPI) -> None:

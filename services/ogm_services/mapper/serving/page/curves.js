@@ -1,10 +1,20 @@
 // Quality: its figures, and curves of how the map settles.
+import {make} from "./elements.js";
 import {state, subscribe} from "./state.js";
-import {chip, element, fill} from "./tables.js";
+import {element, fill} from "./tables.js";
 import {area, bits, duration, percent} from "./units.js";
 
-const CURVES = [["known_m2", "known area", area, "#1c7ed6"], ["mean_entropy_bits", "mean entropy", bits, "#e8590c"]];
-let looked = null;  // where the pointer is on the curves, 0 to 1
+const SVG = "http://www.w3.org/2000/svg";
+const CURVES = [["known_m2", "known area", area], ["mean_entropy_bits", "mean entropy", bits]];
+const STEP = 0.02;  // of an arrow key
+let looked = null;  // which time is looked at, 0 to 1; null: the newest
+
+function svg(tag, attributes, ...children) {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
+}
 
 function show(quality) {
   const {series} = quality, {revision, stamp} = state.status, now = {...quality, revision, stamp};
@@ -28,7 +38,7 @@ function show(quality) {
 }
 
 function drawCurves() {
-  const {series} = state.quality ?? {series: {revision: []}}, last = series.revision.length - 1;
+  const series = state.quality?.series, last = series ? series.revision.length - 1 : -1;
   if (last < 0) return;
   const [start, end] = [series.stamp[0], series.stamp[last]];
   // Logs may have no times: then scans are counted.
@@ -36,29 +46,39 @@ function drawCurves() {
   const at = (k) => (x[k] - x[0]) / (x[last] - x[0] || 1);
   const where = looked === null ? last : x.findLastIndex((_, k) => at(k) <= looked);
   element("since").textContent = `after ${end > start ? duration(x[where]) : `${x[where]} scans`}`;
-  element("curves").replaceChildren(...CURVES.flatMap(([field, name, text, colour]) => {
-    const values = series[field], most = Math.max(...values) || 1;
-    const points = values.map((value, k) => `${100 * at(k)},${100 - 95 * value / most}`);
-    const head = document.createElement("div"), value = document.createElement("span");
-    head.className = "curve";
-    value.append(text(values[where]));
-    head.append(chip(colour, name), value);
-    const box = document.createElement("div");
-    box.innerHTML = `<svg viewBox="0 0 100 100" preserveAspectRatio="none" role="img" aria-label="${name}">
-      <polygon points="0,100 ${points.join(" ")} ${100 * at(last)},100" fill="${colour}" opacity=".15"/>
-      <polyline points="${points.join(" ")}" fill="none" stroke="${colour}" stroke-width="1.5"/>
-      <path d="M${points[where]}V100" stroke="${colour}" opacity=".6"/>
-      <path d="M${points[where]}h0" stroke="${colour}" stroke-width="6" stroke-linecap="round"/></svg>`;
-    return [head, box];
-  }));
+  element("curves").replaceChildren(...CURVES.map(([field, name, words]) => spark(field, name, words, series[field], at, where)));
+}
+
+function spark(field, name, words, values, at, where) {
+  const most = Math.max(...values) || 1, last = values.length - 1;
+  const points = values.map((value, k) => `${100 * at(k)},${100 - 92 * value / most}`);
+  return make("figure", {className: `spark ${field}`},
+    make("figcaption", {}, make("span", {}, name), make("span", {}, words(values[where]))),
+    svg("svg", {viewBox: "0 0 100 100", preserveAspectRatio: "none", role: "img",
+                "aria-label": `${name}: ${words(values[0])} at first, ${words(values[last])} now`},
+      svg("polygon", {points: `0,100 ${points.join(" ")} ${100 * at(last)},100`}),
+      svg("polyline", {points: points.join(" ")}),
+      svg("path", {class: "where", d: `M${points[where]}V100`}),
+      svg("path", {class: "point", d: `M${points[where]}h0`})));
+}
+
+function look(where) {
+  looked = where;
+  drawCurves();
 }
 
 export function startCurves() {
   subscribe("quality", show);
-  element("curves").addEventListener("pointermove", (event) => {
-    const box = element("curves").getBoundingClientRect();
-    looked = Math.max(0, (event.clientX - box.left) / box.width);
-    drawCurves();
+  const curves = element("curves");
+  curves.addEventListener("pointermove", (event) => {
+    const box = curves.getBoundingClientRect();
+    look(Math.max(0, (event.clientX - box.left) / box.width));
   });
-  element("curves").addEventListener("pointerleave", () => { looked = null; drawCurves(); });
+  curves.addEventListener("keydown", (event) => {
+    const step = {ArrowLeft: -STEP, ArrowRight: STEP}[event.key];
+    if (!step) return;
+    event.preventDefault();
+    look(Math.min(1, Math.max(0, (looked ?? 1) + step)));
+  });
+  for (const left of ["pointerleave", "blur"]) curves.addEventListener(left, () => look(null));
 }

@@ -1,11 +1,14 @@
 // The live page: makes its parts and tells them of each other.
+import {startBanner} from "./banner.js";
 import {MapCanvas} from "./canvas.js";
 import {startCurves} from "./curves.js";
 import {Fitting} from "./fitting.js";
 import {startFollow} from "./follow.js";
 import {gridLayer} from "./grid.js";
+import {startLayers} from "./layers.js";
 import {Link} from "./link.js";
 import {measureLayer, startMeasure} from "./measure.js";
+import {missingLayer, startMissing} from "./missing.js";
 import {namesLayer, robotsLayer} from "./overlay.js";
 import {startPalettes} from "./palettes.js";
 import {startPanel} from "./panel.js";
@@ -18,6 +21,8 @@ import {element} from "./tables.js";
 import {Tiles} from "./tiles.js";
 import {startTools} from "./tools.js";
 import {forgetTrails, startTrails, trailsLayer} from "./trails.js";
+import {troubleLayer} from "./trouble_layer.js";
+import {startTroubles} from "./troubles.js";
 import {View, placesOf, tilesOf} from "./view.js";
 
 const page = {view: null, canvas: null, tiles: null, fitting: null, link: null, state};
@@ -30,7 +35,8 @@ function start(told) {
   page.tiles = new Tiles(() => page.canvas?.redraw());
   const canvas = page.canvas = new MapCanvas(view, page.tiles), redraw = () => canvas.redraw();
   canvas.layers.push(
-    gridLayer, trailsLayer, scansLayer, robotsLayer, namesLayer, measureLayer, pointLayer, scaleLayer);
+    missingLayer, gridLayer, trailsLayer, scansLayer, robotsLayer, namesLayer, troubleLayer, measureLayer, pointLayer,
+    scaleLayer);
   page.fitting = new Fitting(view);
   view.map.on("move zoom resize", wantTiles);
   startMeasure(view, redraw);
@@ -66,7 +72,11 @@ function follow(told) {
 }
 
 startPalettes();
+startTroubles();
 startPanel();
+startMissing();
+startBanner();
+startLayers();
 startCurves();
 startTrails();
 subscribe("map", follow);

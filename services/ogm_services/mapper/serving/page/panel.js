@@ -1,77 +1,63 @@
-// The panel beside the map: status, robots, and what keeps scans out of the map.
-import {colourOf, present} from "./robots.js";
+// The panel beside the map, on a phone a sheet over its lower part: the mapper's status.
+import {say} from "./elements.js";
+import {showRobots} from "./robot_cards.js";
 import {state, subscribe} from "./state.js";
-import {chip, element, fill} from "./tables.js";
-import {duration} from "./units.js";
+import {element, fill} from "./tables.js";
+import {rates} from "./troubles.js";
+import {duration, metresBy, perSecond, whole} from "./units.js";
 
-const RATE_MS = 2000;  // a rate is taken over at least so long
-let counted = null;   // {time, scans, run} of the last time that the rate was taken
-let rate = null;
-
-function takeRate({run, scans: {integrated}}) {
-  const now = performance.now();
-  if (counted?.run !== run) counted = rate = null;  // another process, which counts from 0
-  if (counted && now - counted.time <= RATE_MS) return;
-  if (counted) rate = `${((integrated - counted.scans) / (now - counted.time) * 1000).toFixed(1)} /s`;
-  counted = {time: now, scans: integrated, run};
-}
+const PHONE = matchMedia("(max-width: 46rem)");
 
 const some = (counts, prefix, except = []) => Object.entries(counts)
   .filter(([what, count]) => !except.includes(what) && count > 0)
-  .map(([what, count]) => [`${prefix}${what}`, count]);
+  .map(([what, count]) => [`${prefix}${what}`, whole(count)]);
 
 function showFacts(status) {
-  const {scans, map_info: info} = status;
+  const {scans, map_info: info, store} = status;
   fill("facts", [
-    ["revision", status.revision],
-    ["scans received", scans.received],
-    ["scans integrated", scans.integrated],
-    ["scans pending", scans.pending],
+    ["revision", whole(status.revision)],
+    ["scans received", whole(scans.received)],
+    ["scans integrated", whole(scans.integrated)],
+    ["scans pending", whole(scans.pending)],
     ...some(scans.dropped, "scans dropped: "),
-    ...(scans.lost ? [["scans lost", scans.lost]] : []),
+    ...(scans.lost ? [["scans lost", whole(scans.lost)]] : []),
     ...some(status.poses, "poses ", ["received", "replayed"]),
-    ...(rate ? [["integrating", rate]] : []),
-    ["size", `${(info.width * info.resolution).toFixed(1)} × ${(info.height * info.resolution).toFixed(1)} m`],
     ["resolution", `${info.resolution} m`],
-    ["known cells", info.known_cells.toLocaleString("en")],
+    ["known cells", whole(info.known_cells)],
     ["memory", `${(info.bytes / 1e6).toFixed(1)} MB`],
-    ["uptime", `${status.uptime_s.toFixed(0)} s`],
+    ...(store ? [["stored", store.revision === null ? "nothing yet" : `revision ${whole(store.revision)}`]] : []),
+    ["up", duration(status.uptime_s)],
   ]);
+  say(element("size"), info.width ? metresBy(info.width * info.resolution, info.height * info.resolution) : "empty");
 }
 
-function showRobots({robots}, names) {
-  fill("robots", names.map((name) => {
-    const {pose, alive, age_s, sources} = robots[name];
-    const integrated = Object.values(sources).reduce((sum, source) => sum + source.integrated, 0);
-    return [
-      chip(colourOf(name), name), pose ? `${pose[0].toFixed(1)}, ${pose[1].toFixed(1)}` : "none",
-      alive ? "yes" : "no", age_s === null ? "never" : `${duration(age_s)} ago`, integrated,
-    ];
-  }), names.length ? ["name", "x, y (m)", "alive", "heard", "scans"] : ["none yet"]);
+function showNow({revision, scans}) {
+  const rate = rates.of("integrated");
+  say(element("now"), [
+    `revision ${whole(revision)}`,
+    ...(rate === null ? [] : [`${perSecond(rate, "scans")}`]),
+    ...(scans.pending ? [`${whole(scans.pending)} pending`] : []),
+    ...(scans.lost ? [`${whole(scans.lost)} lost`] : []),
+  ].join(" · "));
 }
 
-function showReasons({robots}, names) {
-  const wrong = names.flatMap((name) => Object.entries(robots[name].sources).flatMap(
-    ([sensor, {dropped, hints, lost}]) => [
-      ...Object.entries(dropped).map(([reason, count]) => [`${name}/${sensor}: ${reason}`, count]),
-      ...(lost ? [[`${name}/${sensor}: lost`, lost]] : []),
-      ...hints.map((hint) => [`${name}/${sensor}: hint ${hint}`, "see the log"]),
-    ]));
-  element("wrong").hidden = !wrong.length;
-  fill("reasons", wrong);
+function open(wanted) {
+  element("panel").classList.toggle("closed", !wanted);
+  element("grip").setAttribute("aria-expanded", String(wanted));
 }
 
 export function startPanel() {
   subscribe("status", (status) => {
-    takeRate(status);
-    element("name").textContent = status.map;
-    const names = present().filter((name) => status.robots[name]);
+    say(element("name"), status.map);
     showFacts(status);
-    showRobots(status, names);
-    showReasons(status, names);
+    showNow(status);
+    showRobots();
   });
+  subscribe("followed", showRobots);
   subscribe("connection", ({kind, text}) => {
-    element("state").textContent = text;
+    say(element("state"), text);
     element("state").className = kind === "live" ? "" : kind;
   });
+  element("grip").addEventListener("click", () => open(element("panel").classList.contains("closed")));
+  open(!PHONE.matches);
 }

@@ -1,23 +1,14 @@
-// Tables and keys of colours, made of texts: nothing that a robot or a map is called is read as HTML.
+// Tables and keys of colours.
+import {make} from "./elements.js";
 
 export const element = (id) => document.getElementById(id);
 
-export function fill(id, rows, heading) {
-  element(id).replaceChildren(...(heading ? [heading] : []).concat(rows).map((texts) => {
-    const row = document.createElement("tr");
-    for (const text of texts) {
-      const cell = document.createElement(texts === heading ? "th" : "td");
-      cell.append(text);
-      row.append(cell);
-    }
-    return row;
-  }));
-}
+// Rows of texts or nodes; the first of each is its heading.
+export const fill = (id, rows) => element(id).replaceChildren(...rows.map(([name, ...values]) =>
+  make("tr", {}, make("th", {scope: "row"}, name), ...values.map((value) => make("td", {}, value)))));
 
 export function chip(colour, text) {
-  const all = document.createElement("span"), key = document.createElement("span");
-  key.className = "key";
+  const key = make("span", {className: "key"});
   key.style.background = colour;
-  all.append(key, text);
-  return all;
+  return make("span", {}, key, text);
 }
