@@ -27,6 +27,8 @@ function show() {
   if (kind) banner.dataset.kind = kind;
   banner.hidden = !kind;
   say(banner, text);
+  // What lies at the top of the map makes room for it.
+  element("view").style.setProperty("--banner", `${banner.offsetHeight}px`);
 }
 
 // Say something in passing.

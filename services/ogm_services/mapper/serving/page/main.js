@@ -1,7 +1,9 @@
 // The live page: makes its parts and tells them of each other.
 import {startBanner} from "./banner.js";
 import {MapCanvas} from "./canvas.js";
+import {startChanges} from "./changes.js";
 import {startCurves} from "./curves.js";
+import {EraseTool} from "./erase.js";
 import {Fitting} from "./fitting.js";
 import {startFollow} from "./follow.js";
 import {gridLayer} from "./grid.js";
@@ -44,6 +46,7 @@ function start(told) {
   startFollow(view);
   startTools(page);
   startPermalink(view);
+  startChanges(new EraseTool(view, canvas));
   page.link.live.awaitAll();
 }
 

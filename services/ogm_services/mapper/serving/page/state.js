@@ -9,6 +9,7 @@ export const state = {
   scans: {},      // by robot/sensor, the last one: stamp, pose of the sensor, angles, range_max, ranges
   palette: null,
   layers: {grid: {shown: false}},  // by name of a canvas layer: {shown, opacity}; others are shown
+  access: null,   // of /login: whether a change wants the token, and which changes the mapper can make
   followed: null,  // the robot that the view follows
   tool: null,     // what clicks on the map are for: measure, ...; null: a point
 };
