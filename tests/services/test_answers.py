@@ -166,7 +166,7 @@ def test_an_unknown_format_is_told_with_those_there_are(desk, form):
         ({"region": "0,0,1"}, "region: xmin,ymin,xmax,ymax is needed, got '0,0,1'"),
         ({"region": "0,0,1,x"}, "region: a number is needed, got 'x'"),
         ({"region": "7,7,8,8"}, "lies wholly outside the map, x 0.5 to 2.5, y 0 to 0.5 m"),
-        ({"max_size": "0"}, "max_size: a number of pixels, 1 or more, is needed, got '0'"),
+        ({"max_size": "0"}, "max_size: 1 to 999999999 is needed, got 0"),
         (
             {"palette": "grey"},
             "palette: one of ros, probability, cividis, dark, costmap is needed, got 'grey'",

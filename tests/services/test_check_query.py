@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ogm_client import BadParameter, BadReply, MapClient, MapperError
-from ogm_services.mapper.serving.checks import BODY, MAX_BODY
+from ogm_services.mapper.serving.checks import MAX_BODY
 
 # In the cross: seen free twice, a wall, seen free once, and beyond it.
 FREE, WALL, UNDECIDED, BEYOND = [0.75, 0.25], [2.25, 0.25], [0.25, -0.25], [9.0, 9.0]
@@ -154,13 +154,33 @@ def test_a_check_needs_no_token_and_no_page_of_elsewhere_may_ask(start_mapper):
             assert mapper.http.post("/check", json={"points": [FREE]}, headers=headers).status_code == status
 
 
-def test_openapi_tells_the_body(cross):
+def test_openapi_tells_the_bodies_and_their_limits(cross):
     document = cross.http.get("/openapi.json").json()
-    operation = document["paths"]["/check"]["post"]
-    assert operation["requestBody"] == json.loads(json.dumps(BODY))
-    assert set(operation["responses"]) == {"200", "400", "403", "413", "421", "503"}
-    status, _ = ask(cross, operation["requestBody"]["content"]["application/json"]["example"])
-    assert status == 200
+    operation, schemas = document["paths"]["/check"]["post"], document["components"]["schemas"]
+    assert set(operation["responses"]) == {"200", "400", "403", "413", "421", "500", "503", "default"}
+    (content,) = operation["requestBody"]["content"].values()
+    named = [one["$ref"].rpartition("/")[2] for one in content["schema"]["oneOf"]]
+    assert named == ["PointsToCheck", "FootprintsToCheck"]
+    for name, what in zip(named, ("points", "footprints"), strict=True):
+        schema = schemas[name]
+        assert (schema["required"], schema["additionalProperties"]) == ([what], False)
+        (example,) = schema["examples"]
+        status, reply = ask(cross, example)
+        assert (status, len(reply["states"])) == (200, len(example[what]))
+        margin = schema["properties"]["margin"]
+        assert ask(cross, {**example, "margin": margin["maximum"]})[0] == 200
+        beyond = [
+            {what: []},
+            {**example, "margin": margin["maximum"] * 1.001},
+            {**example, "margin": margin["minimum"] - 0.001},
+            {**example, "more": 1},
+        ]
+        assert [ask(cross, body)[0] for body in beyond] == [400] * 4
+    points = schemas["PointsToCheck"]["properties"]["points"]["maxItems"]
+    corners = schemas["FootprintsToCheck"]["properties"]["footprints"]["items"]["maxItems"]
+    for most, body in ((points, '{"points":[%s]}'), (corners, '{"footprints":[[%s]]}')):
+        asked = [body % ",".join(["[1,0]"] * (most + k)) for k in (0, 1)]
+        assert [ask(cross, text.encode())[0] for text in asked] == [200, 400]
 
 
 @pytest.mark.parametrize("said", [["free"], ["free", "full"], []])

@@ -62,7 +62,7 @@ def slow(monkeypatch):
 @pytest.mark.parametrize("form", MAP_FORMATS)
 @pytest.mark.parametrize("given", [{}, {"region": WHOLE}, {"max_size": "1000"}])
 def test_no_answer_takes_more_to_make_than_is_held_for_it(form, given, monkeypatch):
-    if not given.keys() <= MAP_FORMATS[form].parameters:
+    if not given.keys() <= {parameter.name for parameter in MAP_FORMATS[form].parameters}:
         pytest.skip("it has no such parameter")
     desk, sizes = Desk(200.0), []
     monkeypatch.setattr(desk.in_flight, "making", lambda size: sizes.append(size) or ExitStack())

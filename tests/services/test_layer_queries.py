@@ -332,8 +332,13 @@ def test_openapi_tells_ranges(cross):
         for parameter in paths[path]["get"]["parameters"]
     }
     longest = {"type": "number", "minimum": 0.001, "maximum": 1000.0}
-    assert schemas["/distance.npz", "max_distance"] == (longest, False)
-    assert schemas["/distance.png", "max_distance"] == ({**longest, "default": 2.55}, False)
-    assert schemas["/inflate.png", "radius"] == ({"type": "number", "minimum": 0.0, "maximum": 100.0}, True)
+    assert schemas["/distance.npz", "max_distance"] == ({**longest, "examples": [5.0]}, False)
+    assert schemas["/distance.png", "max_distance"] == (
+        {**longest, "examples": [2.55], "default": 2.55},
+        False,
+    )
+    radius = {"type": "number", "minimum": 0.0, "maximum": 100.0, "examples": [0.3]}
+    assert schemas["/inflate.png", "radius"] == (radius, True)
     for path in ("/distance.npz", "/inflate.png"):
-        assert set(paths[path]["get"]["responses"]) == {"200", "304", "400", "404", "412", "421", "503"}
+        answers = {"200", "304", "400", "404", "412", "421", "500", "503", "default"}
+        assert set(paths[path]["get"]["responses"]) == answers

@@ -38,7 +38,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 """Map settings that replace the defaults, by the preset's name."""
 
 
-_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
+DECIMAL = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+"""Pattern of a number in decimal digits."""
+_NUMBER = re.compile(rf"\s*{DECIMAL}\s*", re.ASCII)
 
 
 _NAME_OF_HOST = re.compile(r"[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*\.?")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ogm_core.cells.value_bytes import COLOURS, value_byte
-from ogm_core.files.map_files import DEFAULT_PALETTE, PALETTES
+from ogm_core.files.map_files import PALETTES
 from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
@@ -24,9 +24,13 @@ from ogm_services.mapper.serving.map_formats import (
     UPDATES_FORMAT,
     MapFormat,
     bytes_to_make,
-    check_names,
     map_format,
-    number,
+)
+from ogm_services.mapper.serving.map_parameters import (
+    AT,
+    CELL_X,
+    CELL_Y,
+    PALETTE,
     region_of,
     shrunk,
     transparent,
@@ -34,6 +38,7 @@ from ogm_services.mapper.serving.map_formats import (
 from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
 from ogm_services.mapper.serving.map_updates import MapUpdates
 from ogm_services.mapper.serving.queries import Queries
+from ogm_services.mapper.serving.query_parameters import check_names
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
 from ogm_services.replies.in_flight import InFlight
@@ -132,9 +137,10 @@ class Answers:
                 self._memory.make_room()
             return answer
         wanted = map_format(form, given)
-        if "at" in given:
-            rest = {name: value for name, value in given.items() if name != "at"}
-            return self.saved.map(given["at"], wanted, rest)
+        saved_as = AT.read(given)
+        if saved_as is not None:
+            rest = {name: value for name, value in given.items() if name != AT.name}
+            return self.saved.map(saved_as, wanted, rest)
         asked = self._map.now
         key, region = (form, tuple(sorted(given.items()))), region_of(given)
         return self._cache.answer(
@@ -166,7 +172,7 @@ class Answers:
             if picture is None:
                 body = wanted.encode(shown, self._map_name, given)
             elif picture is self._coloured:
-                colours = COLOURS[given.get("palette", DEFAULT_PALETTE)]
+                colours = COLOURS[PALETTE.read(given)]
                 body = picture.png(snapshot, colours, transparent=transparent(given))
             else:
                 body = picture.png(snapshot)
@@ -180,9 +186,7 @@ class Answers:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
         if wanted is not MAP_FORMATS["png"] or whole.empty or "max_size" in given:
             return None
-        palette = given.get("palette", DEFAULT_PALETTE)
-        if palette not in COLOURS:
-            return None
+        palette = PALETTE.read(given)
         return self._coloured if transparent(given) else self._pictures.get(palette, self._coloured)
 
     def tile(self, place: Mapping[str, str], given: Parameters) -> MapTile:
@@ -233,8 +237,8 @@ class Answers:
             BadParameter: x or y is missing or is not a coordinate.
         """
         self.check_ready()
-        check_names(given, {"x", "y"})
-        x, y = (number(name, given.get(name)) for name in "xy")
+        check_names(given, (CELL_X, CELL_Y))
+        x, y = CELL_X.read(given), CELL_Y.read(given)
         snapshot = self._map.snapshot()
         ix, iy = snapshot.lattice.cell_of(x, y)
         column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]

@@ -1,83 +1,48 @@
-"""OpenAPI description of the mapper's HTTP routes: their parameters, and what each of them may answer."""
+"""OpenAPI description of the mapper's HTTP routes: what each is called, what it takes, and may answer."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
 
-from ogm_core.cells.value_bytes import COLOURS
-from ogm_core.files.map_files import PALETTES, VALUES
-from ogm_core.tiles.polygon import MAX_POINTS
-from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z
-from ogm_core.wire.keys import NAME
-from ogm_services.mapper.serving.map_tiles import MAX_PLACE
-from ogm_services.mapper.serving.map_updates import SINCE
+from fastapi import FastAPI, Response
+from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaMode, models_json_schema
+
+from ogm_services.mapper.serving.json_models import FootprintsToCheck, LoginToken, PointsToCheck, Problem
+from ogm_services.mapper.serving.query_parameters import Parameter, TextParameter, described
 from ogm_services.replies.problems import MEDIA_TYPE
 
-Responses = dict[int | str, dict[str, Any]]
-Parameter = dict[str, Any]
-
-_NUMBER = r"[-+]?[0-9]{1,6}(\.[0-9]{1,6})?"
-_NAME = {"type": "string", "pattern": f"^{NAME.pattern}$"}
-_PARAMETERS: dict[str, tuple[str, dict[str, Any]]] = {
-    "region": (
-        "xmin,ymin,xmax,ymax in metres, clipped to the map: rounded outward to cells, or, where they are "
-        "erased, the cells whose centre it holds",
-        {"type": "string", "pattern": f"^{_NUMBER}(,{_NUMBER}){{3}}$"},
-    ),
-    "polygon": (
-        f"x1,y1,x2,y2,... in metres, 3 to {MAX_POINTS} corners in order, in place of a region: even-odd "
-        "where it crosses itself",
-        {"type": "string", "pattern": f"^{_NUMBER}(,{_NUMBER}){{5,{2 * MAX_POINTS - 1}}}$"},
-    ),
-    "palette": (
-        "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied), both grey; "
-        "cividis (the same in colours), dark (trinary), costmap (as RViz draws it)",
-        {"type": "string", "enum": list(COLOURS)},
-    ),
-    "transparent": ("1: what is unknown is not drawn", {"type": "string", "enum": ["0", "1"]}),
-    "rev": (
-        "the tile's ETag without its quotes: while it is that, caches may keep the answer for good",
-        {"type": "string"},
-    ),
-    "since": (
-        "the map's ETag without its quotes: only the tiles that were written since; of another life of the "
-        "map, or of a revision that is still to come, all of them",
-        {"type": "string", "pattern": f"^{SINCE}$"},
-    ),
-    "max_size": (
-        "longest side in pixels: the picture is shrunk by a whole factor",
-        {"type": "integer", "minimum": 1, "maximum": 999_999_999},
-    ),
-    "values": (
-        "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)",
-        {"type": "string", "enum": list(VALUES)},
-    ),
-    "at": (
-        "the map as it was saved under this name (POST /save), in place of the live one",
-        _NAME,
-    ),
-    "name": ("of the saved map", _NAME),
-    "x": ("metres, map frame", {"type": "number"}),
-    "y": ("metres, map frame", {"type": "number"}),
+Tag = Literal["map", "tiles", "queries", "mapper", "changes", "login"]
+TAGS = {
+    "map": "The map as a file or a picture, live or as it was saved, and what has changed of it.",
+    "tiles": "The map as pictures of 256 x 256 pixels, for viewers.",
+    "queries": "What is computed from the map for who asks; nothing changes.",
+    "mapper": "How the mapper and its map are.",
+    "changes": "What changes the map, or those that are saved: with the mapper's token, where it has one.",
+    "login": "How a page gets a cookie in place of the token.",
 }
-_GREY_PALETTE = (
-    "ros (trinary: 0 occupied, 254 free, 205 neither) or probability (brighter is occupied)",
-    {"type": "string", "enum": list(PALETTES)},
-)
-_REQUIRED = frozenset({"x", "y", "name"})
-_PLACE = {
-    "z": ("16: a pixel a cell; half as many with each below", LEAST_Z, NATIVE_Z),
-    "x": ("tiles to the east of the map's anchor", 1 - MAX_PLACE, MAX_PLACE - 1),
-    "y": ("tiles to the south of the one above the anchor, -1", 1 - MAX_PLACE, MAX_PLACE - 1),
-}
+_TEXTS = "text/", "application/yaml"
+_REF = "#/components/schemas/{model}"
+_MODELS: list[tuple[type[BaseModel], JsonSchemaMode]] = [
+    (Problem, "serialization"),
+    (PointsToCheck, "validation"),
+    (FootprintsToCheck, "validation"),
+    (LoginToken, "validation"),
+]
+"""Those that FastAPI does not know of: it knows of what is answered with 200."""
+_BEARER = "token"
+_TOKEN = {"type": "http", "scheme": "bearer", "description": "http.token of the mapper's settings"}
 
 
-_PROBLEM = {
-    "type": "object",
-    "required": ["type", "title", "status", "detail"],
-    "properties": {name: {"type": "string"} for name in ("type", "title", "detail")}
-    | {"status": {"type": "integer"}},
-}
-"""What went wrong (RFC 9457)."""
+class Header(NamedTuple):
+    """A header of an answer: what it means, and whether it is always there."""
+
+    said: str
+    always: bool = True
+
+
+Headers = Mapping[str, Header]
+
 _PROBLEMS = {
     400: "The request is ill-formed, or a parameter is unknown or wrong",
     401: "A write needs the mapper's token",
@@ -88,82 +53,140 @@ _PROBLEMS = {
     413: "The body is longer than a write's may be",
     421: "The Host header is no name of this mapper",
     429: "Too many wrong tokens came from this address: Retry-After says when to try again",
+    500: "The mapper failed, or a saved map is damaged",
     503: "The mapper is starting, stopping or busy: Retry-After says when to ask again; or it stores no map",
     507: "The disk is full",
 }
-_MAP_HEADERS = {
-    "ETag": '"<epoch>-<run>-<revision>", the validator for If-None-Match and If-Match',
-    "OGM-Resolution": "Metres per pixel",
-    "OGM-Origin": "x,y of the lower-left corner, metres",
-    "OGM-Epoch": "Id of the map's life: another one since it was made or emptied",
-    "OGM-Run": "Id of the mapper's process: another one since it was started",
-    "OGM-Revision": "Scans integrated, and erasures, in this life",
-    "OGM-Stamp": "That of the newest integrated scan, ns since the Unix epoch, or null",
+_OF_EVERY_ROUTE = (400, 421, 500)
+_OF_ANY_REQUEST = "It was refused before it came to its route: 405, 408, 413, 414, 431"
+_PROBLEM_HEADERS: Mapping[int, Headers] = {
+    401: {"WWW-Authenticate": Header("The scheme, Bearer, and what is wrong with a token that was given")},
+    429: {"Retry-After": Header("Seconds to wait before trying again")},
+    503: {"Retry-After": Header("Seconds to wait before asking again; not where no map is stored", False)},
 }
-_TILE_HEADERS = {
-    "ETag": '"<epoch>-<run>-<revision>" of the tile, or "<epoch>-empty", for If-None-Match and If-Match',
-    "OGM-Resolution": "Metres per pixel",
-    "OGM-Epoch": _MAP_HEADERS["OGM-Epoch"],
-    "OGM-Run": "Id of the mapper's process; not of an empty tile",
-    "OGM-Revision": "Of the map, when the tile last changed; not of an empty tile",
+
+_EPOCH = Header("Id of the map's life: another one since it was made or emptied")
+MAP_HEADERS: Headers = {
+    "ETag": Header('"<epoch>-<run>-<revision>", the validator for If-None-Match and If-Match'),
+    "OGM-Resolution": Header("Metres per pixel"),
+    "OGM-Origin": Header("x,y of the lower-left corner, metres"),
+    "OGM-Epoch": _EPOCH,
+    "OGM-Run": Header("Id of the mapper's process: another one since it was started"),
+    "OGM-Revision": Header("Scans integrated, and erasures, in this life"),
+    "OGM-Stamp": Header("That of the newest integrated scan, ns since the Unix epoch, or null"),
 }
-_OF_EVERY_ROUTE = (400, 421)
+TILE_HEADERS: Headers = {
+    "ETag": Header(
+        '"<epoch>-<run>-<revision>" of the tile, or "<epoch>-empty", for If-None-Match and If-Match'
+    ),
+    "OGM-Resolution": Header("Metres per pixel"),
+    "OGM-Epoch": _EPOCH,
+    "OGM-Run": Header("Id of the mapper's process; not of an empty tile", False),
+    "OGM-Revision": Header("Of the map, when the tile last changed; not of an empty tile", False),
+}
+_VALIDATORS = (
+    TextParameter(
+        "If-None-Match",
+        "the ETag of what is there already: 304, without a body, if that has not changed",
+        '"5f2b-91c0-1200"',
+    ),
+    TextParameter(
+        "If-Match", "the ETag of the map that is wanted: 412 if it is another one by now", '"5f2b-91c0-1200"'
+    ),
+)
 
 
-def described_parameters(names: Iterable[str], place: str = "query", form: str = "") -> list[Parameter]:
-    """The parameters of a route, as OpenAPI describes them; `place`: "query" or "path".
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """What is said of a route: its id, as generated clients name their functions, its tag and its summary.
 
-    `form` is the map's format, where it is one.
+    It answers with a body of `media_type`, JSON of a `model` if there is one, or a problem of one of those
+    statuses, besides those that every route may answer. With `headers`, one of which is the ETag, it heeds
+    validators.
     """
-    described = []
-    for name in names:
-        grey = name == "palette" and form == "pgm"
-        said, schema = _GREY_PALETTE if grey else _PARAMETERS[name]
-        described.append(_described(name, place, name in _REQUIRED, said, schema))
-    return described
 
+    id: str
+    tag: Tag
+    summary: str
+    media_type: str = "application/json"
+    model: type | None = None
+    problems: tuple[int, ...] = (503,)
+    parameters: tuple[Parameter, ...] = ()
+    path_parameters: tuple[Parameter, ...] = ()
+    body: tuple[type, ...] = ()
+    """JSON of one of these models is what is asked."""
+    headers: Headers = field(default_factory=dict)
+    probe: bool = False
+    """Whether a 503 is plain text, like all that it answers."""
 
-def described_place() -> list[Parameter]:
-    """The parameters in the path of a tile."""
-    return [
-        _described(name, "path", True, said, {"type": "integer", "minimum": low, "maximum": high})
-        for name, (said, low, high) in _PLACE.items()
-    ]
-
-
-def _described(name: str, place: str, required: bool, said: str, schema: dict[str, Any]) -> Parameter:
-    return {"name": name, "in": place, "required": required, "description": said, "schema": schema}
-
-
-def responses(media_type: str, model: type | None = None, problems: Iterable[int] = (503,)) -> Responses:
-    """What a route may answer: a body of `media_type`, JSON of a `model` if there is one, or a problem."""
-    described: Responses = {200: {"content": {media_type: {}}, "model": model}}
-    for status in sorted({*_OF_EVERY_ROUTE, *problems}):
-        described[status] = {
-            "description": _PROBLEMS[status],
-            "content": {MEDIA_TYPE: {"schema": _PROBLEM}},
+    def options(self) -> dict[str, Any]:
+        """What FastAPI is told of the route."""
+        extra: dict[str, Any] = {}
+        parameters = [*described(self.path_parameters, "path"), *described(self.parameters)]
+        if self.headers:
+            parameters += described(_VALIDATORS, "header")
+        if parameters:
+            extra["parameters"] = parameters
+        if self.body:
+            bodies = [{"$ref": _ref(model)} for model in self.body]
+            schema = {"oneOf": bodies} if len(bodies) > 1 else bodies[0]
+            content = {self.media_type: {"schema": schema}}
+            extra["requestBody"] = {"required": True, "content": content}
+        if self.tag == "changes":
+            extra["security"] = [{_BEARER: []}, {}]
+        return {
+            "operation_id": self.id,
+            "tags": [self.tag],
+            "summary": self.summary,
+            "response_class": Response,  # without a media type of its own, so that this one stands alone
+            "responses": self._responses(),
+            "openapi_extra": extra,
         }
-    return described
+
+    def _responses(self) -> dict[int | str, dict[str, Any]]:
+        whole: dict[str, Any] = {"description": self.summary, "model": self.model}
+        if self.model is None:
+            binary = {} if self.media_type.startswith(_TEXTS) else {"format": "binary"}
+            whole["content"] = {self.media_type: {"schema": {"type": "string", **binary}}}
+        said: dict[int | str, dict[str, Any]] = {200: whole}
+        if self.headers:
+            headers = _headers(self.headers)
+            said[200] |= {"headers": headers}
+            said[304] = {"description": "It is the one that If-None-Match names", "headers": headers}
+        also = (412,) if self.headers else ()
+        for status in sorted({*_OF_EVERY_ROUTE, *also, *self.problems}):
+            said[status] = _problem(_PROBLEMS[status], _PROBLEM_HEADERS.get(status, {}))
+        if self.probe:
+            said[503] = {"description": "It is not; the text says why", "content": whole["content"]}
+        return said | {"default": _problem(_OF_ANY_REQUEST)}
 
 
-def probe_responses() -> Responses:
-    """What a probe may answer: plain text either way."""
-    unhealthy = {"description": "It is not; the text says why", "content": {"text/plain": {}}}
-    return {**responses("text/plain", problems=()), 503: unhealthy}
+def describe(app: FastAPI) -> None:
+    """Have the description of an application say all that FastAPI does not know of."""
+    made: Callable[[], dict[str, Any]] = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        document = made()
+        _, models = models_json_schema(_MODELS, ref_template=_REF)
+        components = document.setdefault("components", {})
+        components["schemas"] = {**components.get("schemas", {}), **models["$defs"]}
+        components["securitySchemes"] = {_BEARER: _TOKEN}
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's own way to extend it
 
 
-def map_responses(media_type: str) -> Responses:
-    """What a map's route may answer, validators included."""
-    return _with_validators(responses(media_type, problems=(404, 412, 503)), _MAP_HEADERS)
+def _problem(said: str, headers: Headers | None = None) -> dict[str, Any]:
+    described = {"description": said, "content": {MEDIA_TYPE: {"schema": {"$ref": _ref(Problem)}}}}
+    return described | ({"headers": _headers(headers)} if headers else {})
 
 
-def tile_responses() -> Responses:
-    """What a tile's route may answer, likewise."""
-    return _with_validators(responses("image/png", problems=(404, 412, 503)), _TILE_HEADERS)
+def _headers(headers: Headers) -> dict[str, Any]:
+    return {
+        name: {"description": header.said, "required": header.always, "schema": {"type": "string"}}
+        for name, header in headers.items()
+    }
 
 
-def _with_validators(described: Responses, said: Mapping[str, str]) -> Responses:
-    headers = {name: {"description": text, "schema": {"type": "string"}} for name, text in said.items()}
-    described[200]["headers"] = headers
-    unchanged = {"description": "It is the one that If-None-Match names", "headers": headers}
-    return {**described, 304: unchanged}
+def _ref(model: type) -> str:
+    return _REF.format(model=model.__name__)

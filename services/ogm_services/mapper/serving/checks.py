@@ -8,34 +8,12 @@ import orjson
 from ogm_core.cells.classes import trinary
 from ogm_core.errors import BadParameter, cut
 from ogm_core.lattice import Lattice
-from ogm_core.queries.footprints import MAX_CORNERS, MAX_FOOTPRINTS, MAX_MARGIN, WORDS, Footprints
+from ogm_core.queries.footprints import MAX_CORNERS, WORDS, Footprints
 from ogm_core.snapshot import MapSnapshot
 
 MAX_BODY = 64 * 1024
 """The longest body of a check, bytes."""
 _EXAMPLE = '{"points": [[1.5, 0.5]], "margin": 0.2}'
-_POINT = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
-_FOOTPRINT = {"type": "array", "items": _POINT, "minItems": 3, "maxItems": MAX_CORNERS}
-BODY: dict[str, Any] = {
-    "required": True,
-    "description": "Points or footprints, one of the two; metres, map frame",
-    "content": {
-        "application/json": {
-            "schema": {
-                "type": "object",
-                "additionalProperties": False,
-                "properties": {
-                    "points": _POINT | {"items": _POINT, "minItems": 1, "maxItems": MAX_FOOTPRINTS},
-                    "footprints": _POINT | {"items": _FOOTPRINT, "minItems": 1, "maxItems": MAX_FOOTPRINTS},
-                    "margin": {"type": "number", "minimum": 0.0, "maximum": MAX_MARGIN, "default": 0.0},
-                },
-                "oneOf": [{"required": ["points"]}, {"required": ["footprints"]}],
-            },
-            "example": {"footprints": [[[1.2, 0.3], [1.8, 0.3], [1.8, 0.7], [1.2, 0.7]]], "margin": 0.1},
-        }
-    },
-}
-"""The body, as OpenAPI describes it."""
 
 
 def read_check(body: bytes, lattice: Lattice) -> Footprints:

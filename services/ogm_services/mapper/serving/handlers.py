@@ -1,13 +1,13 @@
 """Handlers of HTTP requests: what every route does with a request, an answer, and the threads between."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from fastapi import FastAPI, Request, Response
 
 from ogm_core.errors import BadParameter, cut
-from ogm_services.mapper.serving.api_description import Parameter, Responses
+from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.turns import Turns
 
@@ -15,23 +15,9 @@ Handler = Callable[[Request], Awaitable[Response]]
 _T = TypeVar("_T")
 
 
-def add_get(
-    app: FastAPI,
-    path: str,
-    handler: Handler,
-    answers: Responses,
-    summary: str,
-    parameters: Sequence[Parameter] = (),
-) -> None:
-    """Route GET and HEAD; what is documented here is made elsewhere."""
-    app.add_api_route(
-        path,
-        handler,
-        summary=summary,
-        response_class=Response,  # without a media type of its own, so that the described one stands alone
-        responses=answers,
-        openapi_extra={"parameters": list(parameters)} if parameters else None,
-    )
+def add_get(app: FastAPI, path: str, handler: Handler, operation: Operation) -> None:
+    """Route GET and HEAD."""
+    app.add_api_route(path, handler, **operation.options())
     app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 
 

@@ -18,22 +18,19 @@ from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_core.wire.map_update import MEDIA_TYPE as UPDATES_TYPE
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.api_description import (
-    described_parameters,
-    map_responses,
-    probe_responses,
-    responses,
-)
+from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
 from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.behind_proxies import BehindProxies, WholePath, check_root_path
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.in_pieces import InPieces
+from ogm_services.mapper.serving.json_models import CellState, OccupancyMap, Quality, Version
 from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
 from ogm_services.mapper.serving.live_route import add_live_route
 from ogm_services.mapper.serving.login_routes import LOG_IN_PATHS, add_login_routes
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
+from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
@@ -119,6 +116,7 @@ def build_app(
         version=version,
         description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
         redoc_url=None,
+        openapi_tags=[{"name": name, "description": said} for name, said in TAGS.items()],
     )
     ready = ReadyMaps(answers)
     answers.count_cache(ready)
@@ -137,36 +135,54 @@ def build_app(
     if access.root_path or access.proxies:
         app.add_middleware(BehindProxies, names=names, routes=app.routes, access=access)
     # The last one is the first that a request meets.
-    for form, wanted in MAP_FORMATS.items():
-        handler, summary = _map_handler(shares.maps, answers, ready, form), f"The map as {form.upper()}"
-        described = map_responses(wanted.media_type)
-        parameters = described_parameters(sorted(wanted.parameters), form=form)
-        add_get(app, f"/map.{form}", handler, described, summary, parameters)
-    changes = _map_handler(shares.maps, answers, ready, UPDATES_FORMAT)
-    said, parameters = map_responses(UPDATES_TYPE), described_parameters(UPDATES_PARAMETERS)
-    add_get(app, f"/map.{UPDATES_FORMAT}", changes, said, "What has changed of the map", parameters)
+    _add_map_routes(app, shares.maps, answers, ready)
     add_tile_routes(app, shares.maps, answers, ready)
-    maps, described = shares.maps, responses("application/json")
-    place = described_parameters(["x", "y"])
-    add_get(app, "/cell", _handler(maps, answers.cell), described, "One cell", place)
-    saved = responses("application/json", SnapshotList)
-    add_get(app, "/snapshots", _handler(maps, answers.snapshots), saved, "The maps that are saved")
-    add_get(app, "/quality", _handler(maps, answers.quality), described, "The quality figures")
-    status = _handler(shares.status, answers.status)
-    add_get(app, "/status", status, responses("application/json", Status), "The mapper's status")
     add_query_routes(app, answers, ready, shares.maps)
     add_page_routes(app)
+    _add_state_routes(app, shares, answers)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
-
     if live is not None:
         add_live_route(app, live)
     add_write_routes(app, writes, shares.writes)
     add_login_routes(app, write_access, answers)
+    describe(app)
     check_root_path(access.root_path, app.routes, "http.root_path")
     app.add_exception_handler(OgmError, _ogm_error)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(Exception, _bug)
     return app
+
+
+def _add_map_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMaps) -> None:
+    for form, wanted in MAP_FORMATS.items():
+        operation = Operation(
+            *(f"get_map_{form}", "map", f"The map as {form.upper()}", wanted.media_type),
+            model=OccupancyMap if form == "json" else None,
+            problems=(404, 503),
+            parameters=wanted.parameters,
+            headers=MAP_HEADERS,
+        )
+        add_get(app, f"/map.{form}", _map_handler(turns, answers, ready, form), operation)
+    changes = Operation(
+        *("get_map_tiles", "map", "What has changed of the map", UPDATES_TYPE),
+        parameters=UPDATES_PARAMETERS,
+        headers=MAP_HEADERS,
+    )
+    handler = _map_handler(turns, answers, ready, UPDATES_FORMAT)
+    add_get(app, f"/map.{UPDATES_FORMAT}", handler, changes)
+
+
+def _add_state_routes(app: FastAPI, shares: Shares, answers: Answers) -> None:
+    maps = shares.maps
+    place = CELL_X, CELL_Y
+    cell = Operation("get_cell", "queries", "One cell", model=CellState, parameters=place)
+    add_get(app, "/cell", _handler(maps, answers.cell), cell)
+    saved = Operation("list_snapshots", "map", "The maps that are saved", model=SnapshotList)
+    add_get(app, "/snapshots", _handler(maps, answers.snapshots), saved)
+    quality = Operation("get_quality", "mapper", "The quality figures", model=Quality)
+    add_get(app, "/quality", _handler(maps, answers.quality), quality)
+    status = Operation("get_status", "mapper", "The mapper's status", model=Status)
+    add_get(app, "/status", _handler(shares.status, answers.status), status)
 
 
 def _add_service_routes(
@@ -185,10 +201,14 @@ def _add_service_routes(
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
 
-    add_get(app, "/livez", livez, probe_responses(), "Whether the mapper works: 200 or 503")
-    add_get(app, "/readyz", readyz, probe_responses(), "Whether it should get scans: 200, or 503 and why not")
-    add_get(app, "/metrics", show_metrics, responses("text/plain"), "Metrics for Prometheus")
-    add_get(app, "/version", show_version, responses("application/json"), "Name and version of this program")
+    summary = "Whether the mapper works: 200 or 503"
+    add_get(app, "/livez", livez, Operation("get_livez", "mapper", summary, "text/plain", probe=True))
+    summary = "Whether it should get scans: 200, or 503 and why not"
+    add_get(app, "/readyz", readyz, Operation("get_readyz", "mapper", summary, "text/plain", probe=True))
+    said = Operation("get_metrics", "mapper", "Metrics for Prometheus", "text/plain")
+    add_get(app, "/metrics", show_metrics, said)
+    summary = "Name and version of this program"
+    add_get(app, "/version", show_version, Operation("get_version", "mapper", summary, model=Version))
 
 
 def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:

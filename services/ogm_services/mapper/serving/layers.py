@@ -27,8 +27,8 @@ from ogm_core.queries.distances import (
 )
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.keys import Query
-from ogm_services.mapper.serving.map_formats import check_names
-from ogm_services.mapper.serving.query_parameters import NumberParameter
+from ogm_services.mapper.serving.map_parameters import REGION
+from ogm_services.mapper.serving.query_parameters import NumberParameter, Parameter, check_names
 from ogm_services.replies.answer import Parameters, UnknownName
 
 LAYER_FORMATS: Mapping[str, str] = {"png": "image/png", "npz": "application/x-npz"}
@@ -51,10 +51,18 @@ DISTANCE_OF_ARRAY = NumberParameter(
     MIN_DISTANCE,
     MAX_DISTANCE,
     optional=True,
+    example=5.0,
 )
 RADIUS = NumberParameter(
-    "radius", "metres within which a cell's centre is of an occupied one's", 0.0, MAX_RADIUS
+    "radius", "metres within which a cell's centre is of an occupied one's", 0.0, MAX_RADIUS, example=0.3
 )
+
+
+def layer_parameters(name: Query, form: str) -> tuple[Parameter, ...]:
+    """What a layer takes in a format."""
+    if name == "inflate":
+        return REGION, RADIUS
+    return REGION, DISTANCE_OF_PICTURE if form == "png" else DISTANCE_OF_ARRAY
 
 
 class Layer(Protocol):
@@ -82,7 +90,7 @@ class DistanceLayer:
         Raises:
             BadParameter: a parameter is unknown, ill-formed or out of range.
         """
-        check_names(given, {"region", "max_distance"})
+        check_names(given, layer_parameters("distance", form))
         if form == "png":
             return cls(form, DISTANCE_OF_PICTURE.read(given))
         return cls(form, DISTANCE_OF_ARRAY.read(given) if "max_distance" in given else math.inf)
@@ -109,7 +117,7 @@ class InflatedLayer:
         Raises:
             BadParameter: a parameter is unknown, missing, ill-formed or out of range.
         """
-        check_names(given, {"region", "radius"})
+        check_names(given, layer_parameters("inflate", form))
         return cls(form, RADIUS.read(given))
 
     def encoded(self, states: NDArray[np.int8], part: CellRect, shown: MapSnapshot) -> bytes:

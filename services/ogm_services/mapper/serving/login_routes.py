@@ -1,7 +1,7 @@
 """Routes of log-ins: what a page asks to know whether it may write, and where it gives the token once."""
 
 from dataclasses import asdict, dataclass
-from typing import Any, get_args
+from typing import get_args
 
 import orjson
 from fastapi import FastAPI, Request, Response
@@ -10,9 +10,10 @@ from starlette.types import Scope
 from ogm_core.errors import BadParameter
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.api_description import responses
+from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.bearer_token import challenge
-from ogm_services.mapper.serving.handlers import Handler, add_get, parameters_of
+from ogm_services.mapper.serving.handlers import add_get, parameters_of
+from ogm_services.mapper.serving.json_models import LoginToken
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.write_access import WriteAccess
 from ogm_services.mapper.serving.write_routes import WITHOUT_STORE
@@ -22,19 +23,6 @@ LOGIN, LOGOUT = "/login", "/logout"
 LOG_IN_PATHS = frozenset({LOGIN, LOGOUT})
 """They are asked by POST, and need no token that is given before."""
 _FORM = 'body: a JSON object is needed: {"token": "..."}'
-_BODY = {
-    "required": True,
-    "content": {
-        "application/json": {
-            "schema": {
-                "type": "object",
-                "required": ["token"],
-                "additionalProperties": False,
-                "properties": {"token": {"type": "string", "maxLength": 512}},
-            }
-        }
-    },
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +37,20 @@ class LoginState:
     logged_in: bool
     may_write: bool
     writes: list[str]
+
+
+_SHOW = Operation(
+    *("get_login", "login", "Whether who asks may write, and what there is to write"),
+    model=LoginState,
+    problems=(),
+)
+_LOG_IN = Operation(
+    *("log_in", "login", "Get a cookie for the token, with which a page may write"),
+    model=LoginState,
+    problems=(401, 403, 413, 429),
+    body=(LoginToken,),
+)
+_LOG_OUT = Operation(*("log_out", "login", "Make that cookie void"), model=LoginState, problems=(403, 413))
 
 
 def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> None:
@@ -85,30 +87,9 @@ def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> Non
         response.headers["Set-Cookie"] = forgotten
         return response
 
-    said = responses("application/json", LoginState, problems=(429,))
-    add_get(app, LOGIN, show, said, "Whether who asks may write, and what there is to write")
-    summary = "Get a cookie for the token, with which a page may write"
-    _add_post(app, LOGIN, log_in, summary, (401, 403, 413, 429), {"requestBody": _BODY})
-    _add_post(app, LOGOUT, log_out, "Make that cookie void", (403, 413))
-
-
-def _add_post(
-    app: FastAPI,
-    path: str,
-    handler: Handler,
-    summary: str,
-    problems: tuple[int, ...],
-    described: dict[str, Any] | None = None,
-) -> None:
-    app.add_api_route(
-        path,
-        handler,
-        methods=["POST"],
-        summary=summary,
-        response_class=Response,
-        responses=responses("application/json", LoginState, problems=problems),
-        openapi_extra=described,
-    )
+    add_get(app, LOGIN, show, _SHOW)
+    app.add_api_route(LOGIN, log_in, methods=["POST"], **_LOG_IN.options())
+    app.add_api_route(LOGOUT, log_out, methods=["POST"], **_LOG_OUT.options())
 
 
 def _token_in(body: bytes) -> bytes:

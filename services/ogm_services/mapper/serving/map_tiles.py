@@ -10,7 +10,6 @@ from typing import Any, Final, cast
 
 from ogm_core.cells.value_bytes import COLOURS, legend
 from ogm_core.errors import BadParameter, cut
-from ogm_core.files.map_files import DEFAULT_PALETTE, chosen
 from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.pyramid import (
@@ -26,15 +25,19 @@ from ogm_core.tiles.view import TileView
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
-from ogm_services.mapper.serving.map_formats import check_names
+from ogm_services.mapper.serving.map_parameters import PALETTE
+from ogm_services.mapper.serving.query_parameters import Schema, TextParameter, check_names
 from ogm_services.replies.answer import Answer, Parameters, UnknownName
 from ogm_services.replies.in_flight import InFlight
 
-TILE_PARAMETERS: Final = ("palette", "rev")
+TILE_REV: Final = TextParameter(
+    "rev",
+    "the tile's ETag without its quotes: while it is that, caches may keep the answer for good",
+    "5f2b-91c0-1200",
+)
+TILE_PARAMETERS: Final = (PALETTE, TILE_REV)
 MAX_PLACE: Final = 2**26
 """Tiles are served from -MAX_PLACE + 1 to MAX_PLACE - 1."""
-_WHOLE = re.compile(r"-?[0-9]+")
-_DIGITS = 12
 _BYTES_BESIDES = 512
 """What a stream that is kept takes besides its bytes, at most."""
 
@@ -146,6 +149,53 @@ class MapTiles:
                 self._size -= len(gone) + _BYTES_BESIDES
 
 
+@dataclass(frozen=True, slots=True)
+class PlaceParameter:
+    """A whole number in a tile's path: what is out of its range is no mistake, there is no tile there."""
+
+    name: str
+    said: str
+    least: int
+    most: int
+    example: int
+
+    @property
+    def needed(self) -> bool:
+        """A path has all of its parts."""
+        return True
+
+    def read(self, place: Mapping[str, str]) -> int:
+        """The number.
+
+        Raises:
+            BadParameter: it is no whole number.
+            UnknownName: there are no tiles there.
+        """
+        text = place[self.name]
+        if re.fullmatch("-?[0-9]+", text) is None:
+            raise BadParameter(f"{self.name}: a whole number is needed, got {cut(text)!r}")
+        if len(text) > _DIGITS or not self.least <= int(text) <= self.most:
+            raise UnknownName(
+                f"{self.name}: there are tiles from {self.least} to {self.most}, not at {cut(text)}"
+            )
+        return int(text)
+
+    def schema(self) -> Schema:
+        """See `Parameter`."""
+        limits = {"minimum": self.least, "maximum": self.most}
+        return {"type": "integer", **limits, "examples": [self.example]}
+
+
+_LIMITS = 1 - MAX_PLACE, MAX_PLACE - 1
+PLACE: Final = (
+    PlaceParameter("z", "16: a pixel a cell; half as many with each below", LEAST_Z, NATIVE_Z, NATIVE_Z),
+    PlaceParameter("x", "tiles to the east of the map's anchor", *_LIMITS, 0),
+    PlaceParameter("y", "tiles to the south of the one above the anchor, -1", *_LIMITS, -1),
+)
+"""What a tile's path names."""
+_DIGITS = 12
+
+
 def square_of(place: Mapping[str, str]) -> Square:
     """The tile that `z`, `x` and `y` name.
 
@@ -153,16 +203,7 @@ def square_of(place: Mapping[str, str]) -> Square:
         BadParameter: one of them is no whole number.
         UnknownName: there are no tiles there.
     """
-    numbers = {}
-    for name in Square._fields:
-        text = place[name]
-        if _WHOLE.fullmatch(text) is None:
-            raise BadParameter(f"{name}: a whole number is needed, got {cut(text)!r}")
-        low, high = (LEAST_Z, NATIVE_Z) if name == "z" else (1 - MAX_PLACE, MAX_PLACE - 1)
-        if len(text) > _DIGITS or not low <= int(text) <= high:
-            raise UnknownName(f"{name}: there are tiles from {low} to {high}, not at {cut(text)}")
-        numbers[name] = int(text)
-    return Square(**numbers)
+    return Square(*(part.read(place) for part in PLACE))
 
 
 def palette_of(given: Parameters) -> str:
@@ -171,10 +212,8 @@ def palette_of(given: Parameters) -> str:
     Raises:
         BadParameter: there is no such palette, or a parameter of another name.
     """
-    check_names(given, set(TILE_PARAMETERS))
-    palette = given.get("palette", DEFAULT_PALETTE)
-    chosen(COLOURS, "palette", palette)
-    return palette
+    check_names(given, TILE_PARAMETERS)
+    return PALETTE.read(given)
 
 
 def _view(snapshot: MapSnapshot) -> TileView:

@@ -1,9 +1,7 @@
 """Map updates for who asks: the tiles of the live map that have changed since a revision."""
 
-import re
 from typing import Final, cast
 
-from ogm_core.errors import BadParameter, cut
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.changes import ChangedTiles
 from ogm_core.tiles.copies import TileCopies
@@ -15,13 +13,20 @@ from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.large_answers import LargeAnswers
-from ogm_services.mapper.serving.map_formats import UPDATES_FORMAT, check_names
+from ogm_services.mapper.serving.map_formats import UPDATES_FORMAT
+from ogm_services.mapper.serving.query_parameters import TextParameter, check_names
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
 
-UPDATES_PARAMETERS: Final = ("since",)
-SINCE: Final = r"[ -~]{0,260}-[0-9]{1,18}"
-"""What `since` has to look like: a map's tag without its quotes."""
+SINCE: Final = TextParameter(
+    "since",
+    "the map's ETag without its quotes: only the tiles that were written since; of another life of the map, "
+    "or of a revision that is still to come, all of them",
+    "5f2b-91c0-1200",
+    r"[ -~]{0,260}-[0-9]{1,18}",
+    "<epoch>-<run>-<revision>",
+)
+UPDATES_PARAMETERS: Final = (SINCE,)
 
 
 class MapUpdates:
@@ -45,10 +50,8 @@ class MapUpdates:
             BadParameter: a parameter of another name, or `since` is no map's tag.
             Busy: it is large, and there is no memory or no thread left for it.
         """
-        check_names(given, set(UPDATES_PARAMETERS))
-        since = given.get("since")
-        if since is not None and re.fullmatch(SINCE, since) is None:
-            raise BadParameter(f"since: <epoch>-<run>-<revision> is needed, got {cut(since)!r}")
+        check_names(given, UPDATES_PARAMETERS)
+        since = SINCE.read(given)
         key = UPDATES_FORMAT, since
         return self._cache.answer(
             *(key, self._map.now),

@@ -7,7 +7,7 @@ from importlib.resources import files
 from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 
-from ogm_services.mapper.serving.api_description import responses
+from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.handlers import add_get
 from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 
@@ -75,6 +75,6 @@ def add_page_routes(app: FastAPI) -> None:
     async def show_file(request: Request) -> Response:
         return page.response(**request.path_params)
 
-    add_get(app, "/", show_page, responses("text/html"), "The live page")
+    add_get(app, "/", show_page, Operation("get_page", "mapper", "The live page", "text/html", problems=()))
     for method in ("GET", "HEAD"):
         app.add_api_route(STATIC_PATH, show_file, methods=[method], include_in_schema=False)

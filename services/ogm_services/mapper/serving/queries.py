@@ -18,7 +18,7 @@ from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.layers import LAYER_FORMATS, Layer, layer_bytes, layer_of
-from ogm_services.mapper.serving.map_formats import region_of
+from ogm_services.mapper.serving.map_parameters import region_of
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.in_flight import InFlight

@@ -17,8 +17,7 @@ from ogm_core.queries.rays import (
 )
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.messages import MAX_RANGE
-from ogm_services.mapper.serving.map_formats import check_names
-from ogm_services.mapper.serving.query_parameters import ChoiceParameter, NumberParameter
+from ogm_services.mapper.serving.query_parameters import ChoiceParameter, NumberParameter, check_names
 from ogm_services.replies.answer import Parameters
 
 MAX_RAYS = 10_000
@@ -29,8 +28,8 @@ _MOST_TURNS = 1e6
 WORDS = {FOUND_WALL: "hit", FOUND_UNKNOWN: "unknown", FOUND_NOTHING: "none"}
 """What `ends` says of a ray."""
 
-X = NumberParameter("x", "where the rays begin, metres, map frame: a point of the map")
-Y = NumberParameter("y", "where the rays begin, metres, map frame")
+X = NumberParameter("x", "where the rays begin, metres, map frame: a point of the map", example=0.0)
+Y = NumberParameter("y", "where the rays begin, metres, map frame", example=0.0)
 THETA = NumberParameter(
     "theta", "heading that bearings count from, radians", -_MOST_TURNS, _MOST_TURNS, default=0.0
 )
@@ -69,7 +68,7 @@ class Fan:
         Raises:
             BadParameter: a parameter is unknown, missing, ill-formed or out of range.
         """
-        check_names(given, {parameter.name for parameter in RAYCAST})
+        check_names(given, RAYCAST)
         first, step = ANGLE_MIN.read(given), ANGLE_INCREMENT.read(given)
         theta, n = THETA.read(given), int(N.read(given))
         return cls(

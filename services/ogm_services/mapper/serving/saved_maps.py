@@ -4,7 +4,8 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.status import SnapshotList, encode_status
 from ogm_services.mapper.serving.large_answers import LargeAnswers
-from ogm_services.mapper.serving.map_formats import MapFormat, bytes_to_make, region_of, shrunk
+from ogm_services.mapper.serving.map_formats import MapFormat, bytes_to_make
+from ogm_services.mapper.serving.map_parameters import region_of, shrunk
 from ogm_services.mapper.storage.snapshots import SavedMap, Snapshots
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight

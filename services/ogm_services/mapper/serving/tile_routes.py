@@ -5,14 +5,10 @@ from functools import partial
 from fastapi import FastAPI, Request, Response
 
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.api_description import (
-    described_parameters,
-    described_place,
-    map_responses,
-    tile_responses,
-)
+from ogm_services.mapper.serving.api_description import MAP_HEADERS, TILE_HEADERS, Operation
 from ogm_services.mapper.serving.handlers import add_get, in_turn, parameters_of
-from ogm_services.mapper.serving.map_tiles import TILE_PARAMETERS, MapTile
+from ogm_services.mapper.serving.json_models import TileJson
+from ogm_services.mapper.serving.map_tiles import PLACE, TILE_PARAMETERS, MapTile
 from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import refuse_parameters
 from ogm_services.replies.turns import Turns
@@ -34,10 +30,17 @@ def add_tile_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMa
         # It says by which name it was asked, so that it is not kept for others.
         return ready.response(request, await in_turn(turns, partial(answers.tiles, str(request.base_url))))
 
-    parameters = [*described_place(), *described_parameters(TILE_PARAMETERS)]
-    add_get(app, TILE_PATH, tile, tile_responses(), "A tile of the map: 256 x 256 pixels", parameters)
-    described = map_responses("application/json")
-    add_get(app, "/tiles.json", description, described, "Where the tiles are, and what they show: TileJSON")
+    picture = Operation(
+        *("get_tile", "tiles", "A tile of the map: 256 x 256 pixels", "image/png"),
+        problems=(404, 503),
+        parameters=TILE_PARAMETERS,
+        path_parameters=PLACE,
+        headers=TILE_HEADERS,
+    )
+    add_get(app, TILE_PATH, tile, picture)
+    summary = "Where the tiles are, and what they show: TileJSON"
+    told = Operation("get_tiles_json", "tiles", summary, model=TileJson, headers=MAP_HEADERS)
+    add_get(app, "/tiles.json", description, told)
 
 
 def _headers(tile: MapTile, rev: str | None) -> dict[str, str]:

@@ -7,15 +7,17 @@ from fastapi import FastAPI, Request, Response
 
 from ogm_core.status import Erasure, SnapshotInfo, SnapshotList, Status
 from ogm_core.wire.keys import Write
-from ogm_services.mapper.serving.api_description import described_parameters, responses
+from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.handlers import Handler, in_turn, parameters_of, plain
+from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, SNAPSHOT_NAME
+from ogm_services.mapper.serving.query_parameters import Parameter
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Parameters
 from ogm_services.replies.turns import Turns
 
 _OF_WRITES = (401, 403, 413, 429, 503)
-_PARAMETERS: Mapping[Write, Sequence[str]] = {"reset": (), "erase": ("region", "polygon")}
-"""Of the others it is the name of a saved map."""
+_AREA = (ERASED_REGION, POLYGON)
+_NAME = (SNAPSHOT_NAME,)
 WITHOUT_STORE: frozenset[Write] = frozenset({"reset", "erase"})
 """What a mapper can do that stores no map."""
 
@@ -31,29 +33,44 @@ def add_write_routes(app: FastAPI, writes: Mapping[Write, DoWrite], turns: Turns
 
         return handle
 
-    def add(
-        method: str, path: str, write: Write, summary: str, model: type, problems: tuple[int, ...]
-    ) -> None:
-        place = "path" if "{name}" in path else "query"
-        parameters = described_parameters(_PARAMETERS.get(write, ["name"]), place)
-        app.add_api_route(
-            path,
-            handler(write),
-            methods=[method],
-            summary=summary,
-            response_class=Response,
-            responses=responses("application/json", model, problems=(*_OF_WRITES, *problems)),
-            openapi_extra={"parameters": parameters} if parameters else None,
-        )
+    for path, write, operation in _OPERATIONS:
+        method = "DELETE" if write == "delete" else "POST"
+        app.add_api_route(path, handler(write), methods=[method], **operation.options())
 
-    add("POST", "/reset", "reset", "Empty the map: a new epoch, revision 0", Status, ())
-    summary = "Make the cells unknown whose centre lies in a region or a polygon: the next revision"
-    add("POST", "/erase", "erase", summary, Erasure, (404, 507))
-    add("POST", "/save", "save", "Save the map of this moment under a name", SnapshotInfo, (409, 507))
-    summary = "Go on with the map that was saved under a name: a new epoch, the revision that was saved"
-    add("POST", "/restore", "restore", summary, Status, (404, 507))
-    summary = "Delete the map that was saved under a name; those that are left"
-    add("DELETE", "/snapshots/{name}", "delete", summary, SnapshotList, (404,))
+
+def _operation(
+    id_: str,
+    summary: str,
+    model: type,
+    problems: tuple[int, ...] = (),
+    *,
+    parameters: tuple[Parameter, ...] = (),
+    in_path: tuple[Parameter, ...] = (),
+) -> Operation:
+    return Operation(
+        *(id_, "changes", summary),
+        model=model,
+        problems=(*_OF_WRITES, *problems),
+        parameters=parameters,
+        path_parameters=in_path,
+    )
+
+
+_ERASE = "Make the cells unknown whose centre lies in a region or a polygon: the next revision"
+_SAVE = "Save the map of this moment under a name"
+_RESTORE = "Go on with the map that was saved under a name: a new epoch, the revision that was saved"
+_DELETE = "Delete the map that was saved under a name; those that are left"
+_OPERATIONS: Sequence[tuple[str, Write, Operation]] = (
+    ("/reset", "reset", _operation("reset", "Empty the map: a new epoch, revision 0", Status)),
+    ("/erase", "erase", _operation("erase", _ERASE, Erasure, (404, 507), parameters=_AREA)),
+    ("/save", "save", _operation("save", _SAVE, SnapshotInfo, (409, 507), parameters=_NAME)),
+    ("/restore", "restore", _operation("restore", _RESTORE, Status, (404, 507), parameters=_NAME)),
+    (
+        "/snapshots/{name}",
+        "delete",
+        _operation("delete_snapshot", _DELETE, SnapshotList, (404,), in_path=_NAME),
+    ),
+)
 
 
 def _named(request: Request) -> Parameters:

@@ -5,14 +5,15 @@ import uuid
 from collections.abc import Mapping
 from typing import Protocol
 
-from ogm_core.errors import BadParameter, BadSetting, DiskFull
+from ogm_core.errors import BadSetting, DiskFull
 from ogm_core.grid_settings import GridSettings
 from ogm_core.status import Erasure, encode_status
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.map_formats import area_of, check_names
+from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, SNAPSHOT_NAME, area_of
+from ogm_services.mapper.serving.query_parameters import check_names
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.kept_map import KeptMap
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, refuse_parameters
@@ -87,7 +88,7 @@ class Writes:
             Unavailable: the mapper starts, stops or is far behind.
             DiskFull, StoreFails: the cells are erased, but that is not stored yet.
         """
-        check_names(given, {"region", "polygon"})
+        check_names(given, (ERASED_REGION, POLYGON))
         self._answers.check_ready()
         area = area_of(given, self._settings.lattice)
         where = self._settings.lattice.region_of(area.rect).span
@@ -163,13 +164,13 @@ class Writes:
 
     def _asked(self, given: Parameters) -> tuple[str, KeptMap]:
         """The name that is given, and where its snapshot is or will be."""
-        check_names(given, {"name"})
-        if "name" not in given:
-            raise BadParameter("name: missing: it says which snapshot")
+        check_names(given, (SNAPSHOT_NAME,))
+        name = SNAPSHOT_NAME.read(given)
+        assert name is not None
         self._answers.check_ready()
         if self._kept_map is None:
             raise NotStored(NO_SNAPSHOTS)
-        return given["name"], self._kept_map
+        return name, self._kept_map
 
 
 def _store(kept: KeptMap, done: str) -> None:
