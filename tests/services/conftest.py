@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from described_http import DescribedClient
 from gateway_desk import gateways, sessions
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.wire.keys import MapKeys
@@ -119,7 +120,7 @@ def running_mapper(**sections):
     with MapperService(settings) as service:
         endpoint, url = (line.split()[-1] for line in service.addresses)
         config = NetworkConfig(connect=(endpoint,))
-        with open_session(config) as session, httpx.Client(base_url=url, timeout=SETTLED) as http:
+        with open_session(config) as session, DescribedClient(base_url=url, timeout=SETTLED) as http:
             mapper = RunningMapper(service, http, session, endpoint, MapKeys(network["map_name"]))
             _wait_for_subscriber(mapper)
             yield mapper

@@ -201,14 +201,18 @@ def _add_service_routes(
     async def show_version(_: Request) -> Response:
         return JSONResponse({"name": "zenoh-ogm", "version": version})
 
+    def probe(id_: str, summary: str) -> Operation:
+        return Operation(id_, "mapper", summary, "text/plain", problems=(), probe=True)
+
     summary = "Whether the mapper works: 200 or 503"
-    add_get(app, "/livez", livez, Operation("get_livez", "mapper", summary, "text/plain", probe=True))
+    add_get(app, "/livez", livez, probe("get_livez", summary))
     summary = "Whether it should get scans: 200, or 503 and why not"
-    add_get(app, "/readyz", readyz, Operation("get_readyz", "mapper", summary, "text/plain", probe=True))
-    said = Operation("get_metrics", "mapper", "Metrics for Prometheus", "text/plain")
-    add_get(app, "/metrics", show_metrics, said)
+    add_get(app, "/readyz", readyz, probe("get_readyz", summary))
+    metered = Operation("get_metrics", "mapper", "Metrics for Prometheus", "text/plain")
+    add_get(app, "/metrics", show_metrics, metered)
     summary = "Name and version of this program"
-    add_get(app, "/version", show_version, Operation("get_version", "mapper", summary, model=Version))
+    named = Operation("get_version", "mapper", summary, model=Version, problems=())
+    add_get(app, "/version", show_version, named)
 
 
 def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:

@@ -137,6 +137,7 @@ class PaletteLegend(_Reply):
     occupied: str
     free: str
     undecided: str
+    unknown: str
 
 
 class TiledMap(_Reply):

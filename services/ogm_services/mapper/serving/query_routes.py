@@ -75,7 +75,7 @@ def _add_layers(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) 
         for name, (summary, made) in _LAYERS.items():
             operation = Operation(
                 *(f"get_{name}_{form}", "queries", f"{summary}, as {form.upper()}", media_type),
-                problems=(404, 503),
+                problems=(404, 503) if form == "png" else (503,),  # there are no pictures of nothing
                 parameters=layer_parameters(name, form),
                 headers=MAP_HEADERS,
             )
