@@ -1,19 +1,16 @@
-"""Map follower: a copy of a mapper's map that a thread keeps up to date."""
+"""Map follower: the thread that keeps a copy of a mapper's map up to date."""
 
 import atexit
-import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from types import TracebackType
 from typing import Final, Self
 
 from ogm_client.errors import BadReply, CannotConnect, ClientError, MapperError, NobodyAnswered
-from ogm_client.map_change import Change, change_since
+from ogm_client.followed_map import FollowedMap
 from ogm_client.map_copy import MapCopy, Taken
-from ogm_client.map_grid import MapGrid
-from ogm_client.transport import Transport, Version
+from ogm_client.transport import Transport
 from ogm_core.errors import BadMessage, OgmError
 from ogm_core.wire.map_update import MapUpdate, decode_updates
 
@@ -28,7 +25,7 @@ _NO_VERSION: Final = 400
 """What a mapper answers who names a version that none can have: somebody else has told it."""
 
 
-class MapFollower:
+class MapFollower(FollowedMap):
     """A map that follows its mapper's, cell for cell, as a context manager.
 
         with mapper.follow() as follower:
@@ -47,11 +44,9 @@ class MapFollower:
         Raises:
             ClientError: as every request.
         """
+        super().__init__(MapCopy(max_bytes))
         self._transport = transport
         self._interval = interval
-        self._copy = MapCopy(max_bytes)
-        self._listeners: list[Callable[[], None]] = []
-        self._news = threading.Condition()
         self._heard: deque[bytes] = deque(maxlen=_MAX_HEARD)
         self._arrived = threading.Event()
         """Whether there is something to do for the thread; Zenoh's own waits for nobody to set it."""
@@ -59,10 +54,6 @@ class MapFollower:
         """When it was last asked, by `time.monotonic()`."""
         self._told = False
         """Whether the mapper tells what changes: it has since it was last asked for being silent."""
-        self._trouble: OgmError | None = None
-        self._away_since = 0.0
-        self._ended: OgmError | None = None
-        self._closed = False
         self._thread = threading.Thread(target=self._run, name="ogm-follower", daemon=True)
         # First: what changes between the answer and the subscription would be missed.
         self._stop_hearing = transport.hear_updates(self._hear)
@@ -74,92 +65,6 @@ class MapFollower:
         # Zenoh's thread would call into a Python that has ended.
         atexit.register(self.close)
         self._thread.start()
-
-    @property
-    def connected(self) -> bool:
-        """Whether the mapper was there when it was last asked, or has spoken since."""
-        return self._trouble is None and self._ended is None and not self._closed
-
-    @property
-    def version(self) -> Version:
-        """Which map the newest one is."""
-        with self._news:
-            version = self._copy.version
-            assert version is not None  # since the first answer
-            return version
-
-    def grid(self) -> MapGrid:
-        """The newest map, an array of its own; only what has changed since the last one is made anew.
-
-        Raises:
-            BadReply: the map's cells are none that this client can read, or take too much memory.
-        """
-        with self._news:
-            return self._copy.grid()
-
-    def wait(self, after: tuple[str, str, int] | None = None, timeout: float | None = None) -> Change | None:
-        """Wait for a map that is not the one `after`, (epoch, run, revision); tell what has changed since.
-
-        None: none has come within `timeout` s, or the follower was closed. While the mapper is away it
-        waits on.
-
-        Raises:
-            OgmError: what has ended the follower: the mapper refuses, what answers is none, or the client
-                was closed.
-        """
-        seen = None if after is None else Version(*after)
-        deadline = math.inf if timeout is None else time.monotonic() + timeout
-        with self._news:
-            while self._copy.version == seen:
-                if self._ended is not None:
-                    raise self._ended
-                left = deadline - time.monotonic()
-                if self._closed or left <= 0.0:
-                    return None
-                self._news.wait(None if left == math.inf else left)
-            return change_since(self._copy, seen)
-
-    def next_grid(self, seen: Version | None, patience: float) -> MapGrid:
-        """Wait for a map that is not the one `seen`; for a mapper that is away so many seconds.
-
-        Raises:
-            OgmError: it is still away, or as `wait`; ClientError, when the follower is closed.
-        """
-        with self._news:
-            while (left := self.left_to_wait(seen, patience)) is not None:
-                self._news.wait(None if left == math.inf else left)
-            return self._copy.grid()
-
-    def left_to_wait(self, seen: Version | None, patience: float) -> float | None:
-        """How much longer to wait for a map that is not the one `seen`, s, inf: for news; None: it is there.
-
-        Raises:
-            OgmError: as `next_grid`.
-        """
-        with self._news:
-            if self._copy.version != seen:
-                return None
-            if self._ended is not None:
-                raise self._ended
-            if self._closed:
-                raise ClientError("follow: the follower is closed")
-            if self._trouble is None:
-                return math.inf
-            left = self._away_since + patience - time.monotonic()
-            if left <= 0.0:
-                raise self._trouble
-            return left
-
-    def add_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Have `listener` called, by whichever thread, when there is news; what ends that."""
-        with self._news:
-            self._listeners.append(listener)
-
-        def end() -> None:
-            with self._news:
-                self._listeners.remove(listener)
-
-        return end
 
     def close(self) -> None:
         """Follow no longer; closing twice does nothing. The end of the program closes it, too."""
@@ -273,24 +178,6 @@ class MapFollower:
             raise BadReply(f"map.tiles: {error}") from error
         if taken not in (Taken.APPLIED, Taken.KNOWN):
             raise BadReply("map.tiles: what was answered is not what was asked for")
-
-    def _note_trouble(self, trouble: OgmError | None) -> None:
-        with self._news:
-            if self._trouble is None:
-                self._away_since = time.monotonic()
-            self._trouble = trouble
-            self._notify()
-
-    def _notify(self) -> None:
-        """Wake up who waits; `_news` is held."""
-        self._news.notify_all()
-        for listener in self._listeners:
-            listener()
-
-    def _end(self, error: OgmError) -> None:
-        with self._news:
-            self._ended = error
-            self._notify()
 
 
 def _nothing() -> None:

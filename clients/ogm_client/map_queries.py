@@ -77,14 +77,10 @@ class MapQueries:
         footprints: Sequence[ArrayLike] | None = None,
         margin: float = 0.0,
     ) -> NDArray[np.str_]:
-        """Whether points (x, y), or the polygons of `footprints`, m, are free in the map of this moment.
+        """Whether points (x, y), or the polygons of `footprints`, m, are free: see `MapGrid.check`.
 
-            mapper.check([(1.5, 0.5), (2.0, 0.5)], margin=0.25)
-            mapper.check(footprints=[[(1.2, 0.3), (1.8, 0.3), (1.8, 0.7), (1.2, 0.7)]], margin=0.05)
-
-        Of each, in their order: "occupied" if it, grown by `margin` m, meets an occupied cell, edges
-        included; else "unknown" if it meets one that is unknown or undecided, or beyond the map; else "free".
-        It is what `MapGrid.check` makes of the same cells. A question may have 64 KB: some 1500 points.
+        The mapper looks, at its map of this moment, and sends no map. A question may have 64 KB: some 1500
+        points.
 
         Raises:
             BadParameter: not one of the two is given, or it is something else.
