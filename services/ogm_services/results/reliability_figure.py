@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ogm_client.plot import ROBOTS
 from ogm_core.errors import printable
 from ogm_core.quality.reliability import CLASSES, Reliability
-from ogm_services.results.figure import DPI, ROBOTS, own_style
+from ogm_services.results.figure import DPI, own_style
 
 SIZE = 3.6, 4.6
 """Width and height, inches."""
