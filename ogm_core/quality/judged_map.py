@@ -31,8 +31,9 @@ class JudgedMap:
 
     @classmethod
     def of(cls, snapshot: MapSnapshot) -> "JudgedMap":
-        """The map of a snapshot."""
-        return cls(snapshot, snapshot.encode(four_classes))
+        """The map of a snapshot, in the cells that tell most of it."""
+        finest = snapshot.finest()
+        return cls(finest, finest.encode(four_classes))
 
     @property
     def resolution(self) -> float:

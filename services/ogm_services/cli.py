@@ -15,6 +15,7 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
 from ogm_services.commands.bag_flags import BagFlags
+from ogm_services.commands.compare import compare
 from ogm_services.commands.erase import erase
 from ogm_services.commands.foxglove_flags import foxglove
 from ogm_services.commands.held_scans import HeldScans
@@ -423,6 +424,7 @@ def build(
 
 
 app.command(rich_help_panel=FILES)(quality)
+app.command(rich_help_panel=FILES)(compare)
 
 
 @app.command(rich_help_panel=FILES)

@@ -108,7 +108,7 @@ def test_help_lists_commands_by_what_they_work_on(ogm):
     assert " ".join(panel or command for panel, command in shown) == (
         "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
         "A running mapper and its map get status erase foxglove snapshot "
-        "Recordings and stored maps, without network build quality info repair"
+        "Recordings and stored maps, without network build quality compare info repair"
     )
 
 

@@ -1,0 +1,51 @@
+"""Maps as classes of cells: occupied, free, undecided or unknown, whatever file they were saved in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.cells.log_odds import probability_of
+from ogm_core.errors import BadMapFile
+from ogm_core.files.map_files import Place, load_npz
+from ogm_core.quality.judged_map import four_classes
+
+CLASSES = ("unknown", "free", "undecided", "occupied")
+"""Names of the classes, by their number (`judged_map.four_classes`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassMap:
+    """Classes of a map's cells, [iy, ix], row 0 south, where they lie, and what the map is called."""
+
+    classes: NDArray[np.uint8]
+    place: Place
+    name: str
+
+
+def read_class_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> ClassMap:
+    """Read a map.npz that was saved here, or else the YAML file of a ROS map.
+
+    `tell` as in `read_ros_map`.
+
+    Raises:
+        BadMapFile: it cannot be read, is something else, or is a ROS map that is turned.
+    """
+    if path.suffix.lower() == ".npz":
+        npz = load_npz(path)
+        known = ~np.isnan(npz.log_odds)
+        classes = four_classes(probability_of(npz.log_odds), known)
+        return ClassMap(classes, Place(npz.resolution, npz.anchor, npz.offset), str(path))
+    # Here, because what reads pictures loads slowly.
+    from ogm_core.files.ros_map_reader import read_ros_map
+
+    ros_map = read_ros_map(path, tell)
+    if ros_map.yaw:
+        raise BadMapFile(
+            f"{path}: origin: the map is turned by {ros_map.yaw:g} rad; maps along the axes are compared"
+        )
+    known = ros_map.occupancy >= 0
+    classes = four_classes(ros_map.occupancy / 100.0, known)
+    return ClassMap(classes, Place(ros_map.resolution, ros_map.origin, (0, 0)), str(path))
