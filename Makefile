@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Python, with compiled kernels kept where `ogm` keeps them.
 PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)/python
 
-.PHONY: demo test test-ros2 check coverage format pictures page-picture variants costs bench bench-quick soak clean
+.PHONY: demo test test-ros2 test-clients check coverage format pictures page-picture variants costs bench bench-quick soak clean
 
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
@@ -16,14 +16,20 @@ PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # Tests that want programs by others.
 WITNESSED := tests/ros2 tests/e2e/test_ros2_played.py
+GENERATED := tests/services/test_generated_clients.py
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(PARALLEL) $(addprefix --ignore ,$(WITNESSED)) $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) $(addprefix --ignore ,$(WITNESSED) $(GENERATED)) $(ARGS)
 
 # What ROS 2's own programs, and others, make of what is written, and what is made of theirs: CONTRIBUTING.md.
 test-ros2: $(VENV)/.dev
 	@tests/ros2/install.sh $(BIN)/python build/ros2
 	$(BIN)/python -m pytest $(WITNESSED) -rs $(ARGS)
+
+# Clients in Python and TypeScript that others' programs make of /openapi.json.
+test-clients: $(VENV)/.clients
+	@tests/generated/install.sh build/clients
+	$(BIN)/python -m pytest $(GENERATED) -rs $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
 coverage: $(VENV)/.dev
@@ -95,6 +101,10 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	@echo "Installing into $(VENV), once, with the tools of development: 0.8 GB on disk, a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.run
+
+$(VENV)/.clients: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,clients]'
+	@touch $@
 
 $(VENV)/.soak: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,soak]'

@@ -3,6 +3,7 @@
 import json
 import re
 from collections import defaultdict
+from pathlib import Path
 from urllib.parse import quote
 
 import httpx
@@ -11,10 +12,13 @@ from jsonschema import ValidationError
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 from described_http import check, document, operation_of, validator
-from ogm_core.errors import DiskFull
+from ogm_core.errors import BadInput, BadSetting, BadStore, DiskFull, MapEmpty, OgmError
 from ogm_services.mapper.serving.guesses import AT_ONCE
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.storage.failures import StoreFails
+from ogm_services.replies import answer as answer_module
 from ogm_services.replies.answer import Starting
+from ogm_services.replies.problems import slug_of, status_of
 
 TOKEN = "secret-of-the-mapper"
 OF_A_PROBE = {"/livez", "/readyz"}
@@ -207,3 +211,16 @@ def test_an_answer_that_is_not_as_described_is_noticed(wrong, error):
     check(*answer())
     with pytest.raises(error):
         check(*wrong)
+
+
+def test_the_table_of_errors_has_all_that_can_be_told():
+    page = Path(__file__).parents[2].joinpath("docs", "http.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([0-9]{3}) \| `([a-z-]+)` \|", page, re.MULTILINE)
+    named = [kind for kind in vars(answer_module).values() if isinstance(kind, type)]
+    kinds = [kind for kind in named if issubclass(kind, OgmError) and kind not in (OgmError, BadInput)]
+    kinds += [BadSetting, MapEmpty, BadStore, StoreFails, DiskFull]
+    told = {(status_of(kind.__new__(kind)), kind.slug) for kind in kinds}
+    told |= {(status, slug_of(status)) for status in (400, 404, 405, 408, 413, 414, 431)}
+    told.add((500, "internal"))
+    assert len(rows) == len(told)
+    assert {(int(status), slug) for status, slug in rows} == told
