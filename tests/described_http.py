@@ -20,12 +20,16 @@ BEFORE_A_ROUTE = {405, 408, 413, 414, 431}
 
 
 class DescribedClient(httpx.Client):
-    """A client that fails where an answer is not as it is described."""
+    """A client that fails where an answer is not as it is described; `under`: the mapper's root path."""
+
+    def __init__(self, *, under="", **options):
+        super().__init__(**options)
+        self._under = under
 
     def send(self, request, *, stream=False, **options):
         response = super().send(request, stream=stream, **options)
         if not stream:
-            check(request, response)
+            check(request, response, request.headers.get("X-Forwarded-Prefix", self._under).rstrip("/"))
         return response
 
 
@@ -51,13 +55,17 @@ def operation_of(method, path):
     return None, None
 
 
-def check(request, response):
-    """Look at the status, the headers, the media type and the body of an answer."""
+def check(request, response, under=""):
+    """Look at the status, the headers, the media type and the body of an answer; `under`: a proxy's path."""
     method, path = request.method, request.url.path
+    # The mapper need not believe in the path: then there is nothing under it.
+    if response.status_code != 404 and (path == under or path.startswith(f"{under}/")):
+        path = path.removeprefix(under)
     operation, _ = operation_of(method, path)
     if operation is None:
         if response.status_code < 400:
-            assert method == "OPTIONS" or path in BEYOND or path.startswith(FILES), path
+            led_on = response.status_code == 307
+            assert led_on or method == "OPTIONS" or path in BEYOND or path.startswith(FILES), request.url
             return
         described = document()["paths"]["/status"]["get"]["responses"]["default"]
     elif (status := str(response.status_code)) in operation["responses"]:

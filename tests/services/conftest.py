@@ -120,7 +120,11 @@ def running_mapper(**sections):
     with MapperService(settings) as service:
         endpoint, url = (line.split()[-1] for line in service.addresses)
         config = NetworkConfig(connect=(endpoint,))
-        with open_session(config) as session, DescribedClient(base_url=url, timeout=SETTLED) as http:
+        under = http_settings.get("root_path", "")
+        with (
+            open_session(config) as session,
+            DescribedClient(base_url=url, timeout=SETTLED, under=under) as http,
+        ):
             mapper = RunningMapper(service, http, session, endpoint, MapKeys(network["map_name"]))
             _wait_for_subscriber(mapper)
             yield mapper
