@@ -95,30 +95,33 @@ class MapQueries:
             raise BadReply(f"check: a state is needed of each of {len(asked)}, got {told}")
         return np.array(states, np.str_)
 
-    def distance(self, region: ArrayLike | None = None, *, max_distance: float | None = None) -> MapLayer:
+    def distance(
+        self, region: ArrayLike | None = None, *, max_distance: float | None = None, at: str | None = None
+    ) -> MapLayer:
         """How far the nearest occupied cell of the map is, of every cell: metres between centres, float32.
 
         Of the whole map, or of the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, to what is
         occupied around it, too; else as `MapGrid.distance`. With a small `max_distance` a part costs the
-        mapper little. A map without a known cell has shape (0, 0).
+        mapper little. A map without a known cell has shape (0, 0). `at`: of the map as it was saved under
+        that name.
 
         Raises:
             MapperError: the region is inverted, not finite, or wholly outside the map, or `max_distance` is
-                not 0.001 to 1000 m.
+                not 0.001 to 1000 m; or no map is saved under the name ("unknown-snapshot").
         """
-        given = texts({"region": region, "max_distance": max_distance})
+        given = texts({"region": region, "max_distance": max_distance, "at": at})
         return self._fetched_layer(DISTANCE, "distance.npz", given)
 
-    def inflate(self, radius: float, region: ArrayLike | None = None) -> MapLayer:
+    def inflate(self, radius: float, region: ArrayLike | None = None, *, at: str | None = None) -> MapLayer:
         """The map's trinary states, int8, with all occupied, 100, within `radius` m of an occupied cell.
 
-        Of the whole map, or of a part of it, as `distance`; else as `MapGrid.inflate`.
+        Of the whole map, of a part of it, or of one that was saved, as `distance`; else as `MapGrid.inflate`.
 
         Raises:
             MapperError: the region is inverted, not finite, or wholly outside the map, or the radius is not 0
-                to 100 m.
+                to 100 m; or no map is saved under the name ("unknown-snapshot").
         """
-        given = texts({"region": region, "radius": radius})
+        given = texts({"region": region, "radius": radius, "at": at})
         return self._fetched_layer(OCCUPANCY, "inflate.npz", given)
 
     def _fetched_layer(self, array: str, name: str, given: dict[str, str]) -> MapLayer:

@@ -157,7 +157,10 @@ def test_what_cannot_be_erased_is_told_and_changes_nothing(cross, over):
     for given, said in (
         ({}, "region or polygon: one of them is needed"),
         ({"region": EAST, "polygon": AROUND_EAST}, "region or polygon: one of them is needed"),
-        ({"region": EAST, "at": "a"}, "at: unknown parameter; there are: polygon, region"),
+        (
+            {"region": EAST, "at": "a"},
+            "at: unknown parameter here, where all is of the map of now; there are: polygon, region",
+        ),
         ({"region": "1,2,3"}, "region: xmin,ymin,xmax,ymax is needed"),
         ({"region": "1,1,0,0"}, "region: xmin < xmax"),
         ({"region": "nan,0,1,1"}, "region: a number is needed"),

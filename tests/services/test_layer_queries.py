@@ -214,7 +214,7 @@ def test_a_map_without_an_occupied_cell(mapper):
             400,
             "max_distance: 0.001 to 1000 is needed",
         ),
-        ("distance", "npz", {"radius": 1}, 400, "radius: unknown parameter; there are: max_distance, region"),
+        ("distance", "npz", {"radius": 1}, 400, "radius: unknown parameter; there are: at, max_distance, "),
         ("distance", "npz", {"region": "1,1,0,0"}, 400, "region: xmin < xmax"),
         ("distance", "png", {"region": "90,90,91,91"}, 400, "region .* lies wholly outside the map"),
         ("distance", "png", {"region": "1,1"}, 400, "region: xmin,ymin,xmax,ymax is needed"),
@@ -340,6 +340,50 @@ def test_openapi_tells_ranges(cross):
     radius = {"type": "number", "minimum": 0.0, "maximum": 100.0, "examples": [0.3]}
     assert schemas["/inflate.png", "radius"] == (radius, True)
     for path in ("/distance.npz", "/inflate.png"):
-        answers = {"200", "304", "400", "412", "421", "500", "503", "default"}
-        empty = {"404"} if path.endswith("png") else set()
-        assert set(paths[path]["get"]["responses"]) == answers | empty
+        answers = {"200", "304", "400", "404", "412", "421", "500", "503", "default"}
+        assert set(paths[path]["get"]["responses"]) == answers
+
+
+@pytest.mark.parametrize("form", ["png", "npz"])
+@pytest.mark.parametrize("layer", LAYERS)
+def test_layers_of_a_saved_map_are_those_of_the_map_then(start_mapper, tmp_path, layer, form):
+    with start_mapper(map={"resolution": 0.5}, mapper={"data": tmp_path}) as mapper:
+        mapper.draw_cross()
+        parts = [NEEDED[layer], {**NEEDED[layer], "region": "-1,-1,1,1"}]
+        then = [fetch(mapper, layer, form, **part) for part in parts]
+        mapper.http.post("/save?name=monday").raise_for_status()
+        mapper.scan([0.6], pose=[0.25, 0.25, 2.4], at=9)
+        mapper.settle(received=4)
+        for before, part in zip(then, parts, strict=True):
+            saved = fetch(mapper, layer, form, at="monday", **part)
+            assert saved.content == before.content
+            assert saved.headers["etag"] == before.headers["etag"]
+            assert fetch(mapper, layer, form, **part).content != before.content
+        mapper.http.delete("/snapshots/monday").raise_for_status()
+        assert refused(mapper, layer, form, at="monday", **NEEDED[layer])[:2] == (404, "unknown-snapshot")
+
+
+def test_a_mapper_without_a_store_has_no_layers_of_saved_maps(cross):
+    assert refused(cross, "distance", "npz", at="monday")[:2] == (503, "not-stored")
+
+
+@pytest.mark.parametrize("over_http", [True, False])
+def test_the_client_asks_for_layers_of_saved_maps(start_mapper, tmp_path, over_http):
+    with start_mapper(map={"resolution": 0.5}, mapper={"data": tmp_path}) as mapper:
+        mapper.draw_cross()
+        address = str(mapper.http.base_url) if over_http else mapper.endpoint
+        with MapClient(address, map_name="hall") as client:
+            then = client.distance(max_distance=3.0), client.inflate(0.5, (-1, -1, 1, 1))
+            client.save_snapshot("monday")
+            mapper.scan([0.6], pose=[0.25, 0.25, 2.4], at=9)
+            mapper.settle(received=4)
+            saved = (
+                client.distance(max_distance=3.0, at="monday"),
+                client.inflate(0.5, (-1, -1, 1, 1), at="monday"),
+            )
+            now = client.distance(max_distance=3.0), client.inflate(0.5, (-1, -1, 1, 1))
+    for before, one, other in zip(then, saved, now, strict=True):
+        assert np.array_equal(one.values, before.values)
+        assert (one.revision, one.offset) == (3, before.offset)
+        assert other.revision == 4
+        assert not np.array_equal(other.values, before.values)

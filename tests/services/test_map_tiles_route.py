@@ -96,7 +96,7 @@ def test_a_map_that_has_not_changed_is_not_sent_again(cross):
         ({"since": "a-b-x"}, "since"),
         ({"since": "a-b-" + "1" * 19}, "since"),
         ({"region": "0,0,1,1"}, "region: unknown parameter; there are: since"),
-        ({"at": "monday"}, "at: unknown parameter"),
+        ({"at": "monday"}, "at: unknown parameter here, where all is of the map of now; there are: since"),
     ],
 )
 def test_what_is_asked_wrongly_is_refused(cross, parameters, said):

@@ -33,6 +33,7 @@ ASKED = {
 }
 """Queries without which routes answer 400."""
 PLACES = {"z": 16, "x": 0, "y": 0, "name": "here"}
+OF_SAVED_MAPS = "/map.", "/distance.", "/inflate."
 UNNAMED = {"/restore": "?name=nowhere"}
 
 
@@ -134,7 +135,9 @@ def unlike_any_map(http):
     """What is not there, while there is no map."""
     for path, method, told in operations():
         if "404" in told["responses"]:
-            query = UNNAMED.get(path) or ("?at=nowhere" if path.startswith("/map.") else None)
+            query = UNNAMED.get(path) or (
+                f"{ASKED.get(path, '?t=0')}&at=nowhere" if path.startswith(OF_SAVED_MAPS) else None
+            )
             ask(http, path.replace("{z}", "9"), method, query=query)
 
 

@@ -246,6 +246,11 @@ def test_a_bad_parameter(cross, query):
     assert problem(cross.http.get("/tiles.json?no=1")) == (400, "bad-parameter")
 
 
+def test_tiles_are_of_the_map_of_now_and_say_so(cross):
+    said = cross.http.get("/tiles/16/0/0.png?at=monday").json()["detail"]
+    assert said == "at: unknown parameter here, where all is of the map of now; there are: palette, rev"
+
+
 def test_a_wrong_method_or_ending(cross):
     assert problem(cross.http.post("/tiles/16/0/0.png")) == (405, "method-not-allowed")
     assert problem(cross.http.get("/tiles/16/0/0.jpg")) == (404, "not-found")

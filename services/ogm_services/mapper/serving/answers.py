@@ -89,7 +89,15 @@ class Answers:
         """The tiles of the live map, for all who want some."""
         self._ready = ready
         self.queries = Queries(
-            *(live_map, self._cache, self._large, self._in_flight, self.check_ready, memory)
+            *(
+                live_map,
+                self._cache,
+                self._large,
+                self._in_flight,
+                self.check_ready,
+                lambda: self.saved,
+                memory,
+            )
         )
         """What is computed from the map for who asks."""
         self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self.map_tiles]

@@ -37,7 +37,7 @@ from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.page_routes import add_page_routes
 from ogm_services.mapper.serving.query_routes import READS, add_query_routes
-from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
+from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
@@ -225,9 +225,7 @@ def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:
 def _map_handler(turns: Turns, answers: Answers, ready: ReadyMaps, form: str) -> Handler:
     async def handle(request: Request) -> Response:
         given = parameters_of(request)
-        answer = await in_turn(turns, partial(answers.map, form, given))
-        # One that is saved under a name may be deleted while the map stays the same.
-        return ready.response(request, answer) if "at" in given else ready.keep(request, Ready.map(answer))
+        return ready.shown(request, await in_turn(turns, partial(answers.map, form, given)))
 
     return handle
 

@@ -27,7 +27,7 @@ from ogm_core.queries.distances import (
 )
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.keys import Query
-from ogm_services.mapper.serving.map_parameters import REGION
+from ogm_services.mapper.serving.map_parameters import AT, REGION
 from ogm_services.mapper.serving.query_parameters import NumberParameter, Parameter, check_names
 from ogm_services.replies.answer import Parameters, UnknownName
 
@@ -61,8 +61,8 @@ RADIUS = NumberParameter(
 def layer_parameters(name: Query, form: str) -> tuple[Parameter, ...]:
     """What a layer takes in a format."""
     if name == "inflate":
-        return REGION, RADIUS
-    return REGION, DISTANCE_OF_PICTURE if form == "png" else DISTANCE_OF_ARRAY
+        return REGION, AT, RADIUS
+    return REGION, AT, DISTANCE_OF_PICTURE if form == "png" else DISTANCE_OF_ARRAY
 
 
 class Layer(Protocol):

@@ -11,6 +11,7 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.polygon import MAX_POINTS, Polygon
 from ogm_core.wire.keys import MAX_NAME, NAME
 from ogm_services.mapper.serving.query_parameters import (
+    SAVED_AS,
     ChoiceParameter,
     NumberParameter,
     NumbersParameter,
@@ -58,7 +59,7 @@ MAP_VALUES: Final = ChoiceParameter(
     "values", "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)", tuple(VALUES)
 )
 AT: Final = TextParameter(
-    "at",
+    SAVED_AS,
     "the map as it was saved under this name (POST /save), in place of the live one",
     "before_lunch",
     NAME.pattern,

@@ -18,8 +18,9 @@ from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.layers import LAYER_FORMATS, Layer, layer_bytes, layer_of
-from ogm_services.mapper.serving.map_parameters import region_of
+from ogm_services.mapper.serving.map_parameters import AT, region_of
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
+from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
@@ -35,9 +36,12 @@ class Queries:
         large: LargeAnswers,
         in_flight: InFlight,
         check_ready: Callable[[], None],
+        saved: Callable[[], SavedMaps],
         memory: MemoryUse | None = None,
     ) -> None:
         """`check_ready` refuses while the mapper starts; `in_flight` counts what is being made.
+
+        `saved` gives the maps that are saved, or refuses where none are.
 
         Layers are kept in the `cache`, which others share, while `memory` has room.
         """
@@ -47,6 +51,7 @@ class Queries:
         self._large = large
         self._in_flight = in_flight
         self._check_ready = check_ready
+        self._saved = saved
 
     def raycast(self, given: Parameters) -> Answer:
         """What rays from a point read: their ranges, m, and how each of them ends.
@@ -83,8 +88,11 @@ class Queries:
     def distance(self, form: str, given: Parameters) -> Answer:
         """How far the nearest occupied cell is, of every cell, in a format of LAYER_FORMATS.
 
+        With the parameter `at`, of a map that is saved under a name.
+
         Raises:
-            UnknownName: there is no such format.
+            UnknownName: there is no such format, or no map of that name.
+            NotStored: there are no saved maps here.
             BadParameter: a parameter is unknown, ill-formed or out of range, or its region misses the map.
             MapEmpty: a picture of a map without a known cell.
             Busy: it is large, and there is no memory or no thread left for it.
@@ -97,16 +105,26 @@ class Queries:
 
     def _layer(self, name: Query, form: str, given: Parameters) -> Answer:
         self._check_ready()
-        layer, region = layer_of(name, form, given), region_of(given)
+        layer, region, saved_as = layer_of(name, form, given), region_of(given), AT.read(given)
+        if saved_as is not None:  # it is not kept, as no answer of saved maps is
+            with self._saved().opened(saved_as) as whole:
+                return self._made(layer, region, form, whole)
         key = (f"{name}.{form}", tuple(sorted(given.items())))
         return self._cache.answer(
             *(key, self._map.now),
             lambda: self._large.making(self._map.cells_in(_grown(region, layer.reach))),
-            lambda: self._made(layer, region, form, key),
+            lambda: self._made_and_kept(layer, region, form, key),
         )
 
-    def _made(self, layer: Layer, region: Region | None, form: str, key: object) -> Answer:
+    def _made_and_kept(self, layer: Layer, region: Region | None, form: str, key: object) -> Answer:
         whole = self._map.snapshot()
+        answer = self._made(layer, region, form, whole)
+        self._cache.keep(key, Identity.of(whole), answer)
+        if self._memory is not None:
+            self._memory.make_room()
+        return answer
+
+    def _made(self, layer: Layer, region: Region | None, form: str, whole: MapSnapshot) -> Answer:
         shown = whole if region is None else whole.crop(region)
         if form == "png":
             check_not_empty(shown)
@@ -115,11 +133,7 @@ class Queries:
             x, y, width, height = shown.rect
             states = whole.part(window).encode(trinary)
             body = layer.encoded(states, CellRect(x - window.ix, y - window.iy, width, height), shown)
-        answer = Answer(body, LAYER_FORMATS[form], shown.meta())
-        self._cache.keep(key, Identity.of(whole), answer)
-        if self._memory is not None:
-            self._memory.make_room()
-        return answer
+        return Answer(body, LAYER_FORMATS[form], shown.meta())
 
 
 def _grown(region: Region | None, more: float) -> Region | None:

@@ -11,6 +11,8 @@ from ogm_services.replies.answer import Parameters
 from ogm_services.settings.values import DECIMAL, parse_number
 
 Schema = dict[str, Any]
+SAVED_AS = "at"
+"""The parameter that names a saved map, in place of that of now."""
 
 
 class Parameter(Protocol):
@@ -214,7 +216,8 @@ def check_names(given: Parameters, allowed: Collection[Parameter]) -> None:
     for name in given:
         if name not in names:
             listed = ", ".join(sorted(names)) or "none"
-            raise BadParameter(f"{cut(name)}: unknown parameter; there are: {listed}")
+            why = " here, where all is of the map of now" if name == SAVED_AS else ""
+            raise BadParameter(f"{cut(name)}: unknown parameter{why}; there are: {listed}")
 
 
 def number(name: str, text: str | None) -> float:

@@ -14,7 +14,7 @@ from ogm_services.mapper.serving.json_models import FootprintsToCheck, PointsToC
 from ogm_services.mapper.serving.layers import LAYER_FORMATS, layer_parameters
 from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.raycasts import RAYCAST
-from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
+from ogm_services.mapper.serving.ready_maps import ReadyMaps
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.turns import Turns
 
@@ -66,8 +66,7 @@ def _add_layers(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) 
     def handler(made: Callable[[Queries, str, Parameters], Answer], form: str) -> Handler:
         async def handle(request: Request) -> Response:
             given = parameters_of(request)
-            answer = await in_turn(turns, lambda: made(answers.queries, form, given))
-            return ready.keep(request, Ready.map(answer))
+            return ready.shown(request, await in_turn(turns, lambda: made(answers.queries, form, given)))
 
         return handle
 
@@ -75,7 +74,7 @@ def _add_layers(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) 
         for name, (summary, made) in _LAYERS.items():
             operation = Operation(
                 *(f"get_{name}_{form}", "queries", f"{summary}, as {form.upper()}", media_type),
-                problems=(404, 503) if form == "png" else (503,),  # there are no pictures of nothing
+                problems=(404, 503),
                 parameters=layer_parameters(name, form),
                 headers=MAP_HEADERS,
             )

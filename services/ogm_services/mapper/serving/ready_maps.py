@@ -10,6 +10,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.map_parameters import AT
 from ogm_services.replies.answer import Answer, Changed
 from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
 
@@ -70,6 +71,15 @@ class ReadyMaps:
                     self._ready[asked] = ready
                     self._size += size
         return ready.response_to(request.scope)
+
+    def shown(self, request: Request, answer: Answer) -> Response:
+        """The response to a request for a map, or what is made of one: kept, if it is the live one.
+
+        One that is saved under a name may be deleted while the live map stays the same.
+        """
+        if AT.name in request.query_params:
+            return self.response(request, answer)
+        return self.keep(request, Ready.map(answer))
 
     @staticmethod
     def response(request: Request, answer: Answer) -> Response:

@@ -1,7 +1,11 @@
 """Saved maps: what a mapper answers of the snapshots that it has on disk under names."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
+from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import SnapshotList, encode_status
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.map_formats import MapFormat, bytes_to_make
@@ -44,16 +48,27 @@ class SavedMaps:
             Busy: it is large, and there is no memory or no thread left for it.
         """
         region, model = region_of(given), self._settings.cell_model
+
+        def to_make(rect: CellRect) -> int:
+            shown = rect if region is None else rect.intersection(self._settings.lattice.cover(region))
+            return bytes_to_make(wanted, model, wanted.cells_looked_at(shown.cells, given))
+
+        with self.opened(name, to_make) as whole:
+            pixels = shrunk(whole if region is None else whole.crop(region), given)
+            body = wanted.encode(pixels, self._map_name, given)
+        return Answer(body, wanted.media_type, pixels.meta())
+
+    @contextmanager
+    def opened(self, name: str, to_make: Callable[[CellRect], int] = lambda _: 0) -> Iterator[MapSnapshot]:
+        """The map that is saved under a name, for as long as something is made of it inside.
+
+        `to_make`: bytes that this takes, besides the map, of one whose cells these are. Raises as `map`.
+        """
         with self._snapshots.opened(name) as saved:
             rect = self._rect_of(saved)
-            shown = rect if region is None else rect.intersection(self._settings.lattice.cover(region))
-            looked_at = wanted.cells_looked_at(shown.cells, given)
-            to_make = COPIES * saved.nbytes + bytes_to_make(wanted, model, looked_at)
-            with self.large.making(rect.cells), self._in_flight.making(to_make):
-                whole = saved.grid(self._settings).snapshot()
-                pixels = shrunk(whole if region is None else whole.crop(region), given)
-                body = wanted.encode(pixels, self._map_name, given)
-        return Answer(body, wanted.media_type, pixels.meta())
+            size = COPIES * saved.nbytes + to_make(rect)
+            with self.large.making(rect.cells), self._in_flight.making(size):
+                yield saved.grid(self._settings).snapshot()
 
     def _rect_of(self, saved: SavedMap) -> CellRect:
         return self._settings.bounds_rect or saved.state.map.known or CellRect(0, 0, 0, 0)
