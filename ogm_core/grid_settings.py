@@ -9,11 +9,11 @@ from ogm_core.cells.forgetting import tick_length
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.model import MAX_MARGIN, CellModel
 from ogm_core.errors import SMALLER_MAP, BadSetting, LimitReached
-from ogm_core.lattice import CellRect, Lattice, Region, bounded
+from ogm_core.lattice import MIN_RESOLUTION, CellRect, Lattice, Region, bounded
 
 Outside = Literal["clip", "drop"]
 SensorModel = Literal["beam", "sector"]
-CellModelName = Literal["log_odds"]
+CellModelName = Literal["log_odds", "rate"]
 Traversal = Literal["bresenham", "dda"]
 
 DEFAULT_MAX_CELLS = 100_000_000
@@ -67,6 +67,12 @@ class GridSettings:
         if any(plane.side not in {1, 2} for plane in self.cell_model.planes):
             raise BadSetting(
                 f"cell_model: {name} has a plane of other than 1 or 2 numbers along a cell's side"
+            )
+        least = MIN_RESOLUTION * self.cell_model.finest
+        if self.cell_model.finest > 1 and self.resolution < least:
+            raise BadSetting(
+                f"resolution: {least:g} m or more is needed with cell model {name}, whose map is "
+                f"served in cells of half that size, got {self.resolution:g}"
             )
         if self.sensor_model not in self.cell_model.sensor_models:
             raise BadSetting(

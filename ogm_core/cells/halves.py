@@ -49,6 +49,12 @@ class Halves:
         passing += 2.0 * planes["E"][cut]
         return {PASSING: passing, HITS: planes["H"][cut], UNANSWERED: _doubled(planes["F"])[cut]}
 
+    @property
+    def cells(self) -> CellSource:
+        """The cells that the halves lie in."""
+        up, along = self._rows, self._columns
+        return self.source.part(*(slice(part.start // 2, -(-part.stop // 2)) for part in (up, along)))
+
     def part(self, rows: slice, columns: slice) -> "Halves":
         """The rectangle of some rows and columns."""
         up, along = self._rows[rows], self._columns[columns]

@@ -34,6 +34,11 @@ class Plane(NamedTuple):
     side: int = 1
 
 
+def cell_bytes(plane: Plane) -> int:
+    """Memory that a plane takes of each cell of the map."""
+    return plane.side**2 * np.dtype(plane.dtype).itemsize
+
+
 class CellSource(Protocol):
     """The planes of a rectangle of cells that never change, and of what surrounds it."""
 
@@ -101,6 +106,8 @@ class CellModel(ABC):
     """Whether it takes lengths of passing (sensor_models.passing), not cells along a traversal."""
     spread: int = 0
     """How many cells around a written one may be known."""
+    finest: int = 1
+    """How many cells along a side of one the map can be served in: 2 if it has `halved`."""
     margin: int = 0
     """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
     forgets: bool = False

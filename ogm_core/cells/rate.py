@@ -22,7 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.halves import HITS, PASSING, PLANES_OF_HALVES, UNANSWERED, Halves, passing_of
-from ogm_core.cells.model import CellEvidence, CellModel, CellSource, Known, Plane, Planes, Probability
+from ogm_core.cells.log_odds import PLANE as LOG_ODDS
+from ogm_core.cells.model import (
+    P_EDGE,
+    CellEvidence,
+    CellModel,
+    CellSource,
+    Known,
+    Plane,
+    Planes,
+    Probability,
+    row_bands,
+)
 from ogm_core.cells.published import pooled_probabilities
 from ogm_core.cells.rate_publishing import OF_CELLS, OF_HALVES, Publish, publish
 
@@ -40,6 +51,8 @@ class _Counted(CellModel):
 
     sensor_models = frozenset({"beam"})
     l0 = 0.0
+    per_cell: int
+    """How many of its cells lie along the side of one in which beams are counted."""
 
     def __init__(self, publish: Publish = publish) -> None:
         """Cells that are published by NumPy, or by its compiled twin (see cells.rate_kernel)."""
@@ -51,6 +64,20 @@ class _Counted(CellModel):
     def __hash__(self) -> int:
         return hash(type(self))
 
+    def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
+        """Log odds of what is published, float32, NaN where unknown; the planes, and `per_cell`.
+
+        The planes are those of the cells that `source` meets.
+        """
+        served = np.empty(source.shape, np.float32)
+        for rows in row_bands(source.shape):
+            planes = source.planes(rows, margin=self.margin)
+            p, known = self.published(planes)
+            p = np.clip(p, P_EDGE, 1.0 - P_EDGE)
+            served[rows] = np.where(known, np.log(p / (1.0 - p)), np.nan)
+        counted = source.cells if isinstance(source, Halves) else source
+        return {LOG_ODDS: served, **counted.planes(), "per_cell": np.array(self.per_cell)}
+
     def pooled(self, source: CellSource, factor: int) -> tuple[CellModel, Planes]:
         """Blocks of what is published."""
         return pooled_probabilities(self, source, factor)
@@ -60,8 +87,10 @@ class Rate(_Counted):
     """Counts, as the map keeps them; published are its cells, of the counts of all that lies in them."""
 
     lengths = True
+    per_cell = 1
     margin = OF_CELLS.margin
     spread = 2
+    finest = 2
     planes = PLANES
 
     @property
@@ -90,6 +119,7 @@ class RateHalves(_Counted):
     """Halves of counted cells, as `cells.halves.Halves` lays them out; nothing updates them."""
 
     sensor_models = frozenset()
+    per_cell = 2
     margin = OF_HALVES.margin
     planes = PLANES_OF_HALVES
 

@@ -57,6 +57,9 @@ class NpzArrays:
     ) -> None:
         self._archive.close()
 
+    def __contains__(self, name: str) -> bool:
+        return f"{name}.npy" in self._archive.namelist()
+
     def __getitem__(self, name: str) -> "PackedArray":
         return PackedArray(self._archive, name)
 

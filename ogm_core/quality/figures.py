@@ -124,7 +124,8 @@ def ends_in_map(placed: PlacedScan, snapshot: MapSnapshot, settings: GridSetting
     """The ends of a scan's beams (see sensor_models.beams), without those that are not in the map."""
     ends = project(placed, snapshot.lattice, settings).ends
     if settings.outside == "drop" and settings.bounds_rect is not None:
-        beams.drop_outside(ends, *settings.bounds_rect)
+        side = round(settings.resolution / snapshot.lattice.resolution)
+        beams.drop_outside(ends, *(side * edge for edge in settings.bounds_rect))
     return ends
 
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.model import Plane
+from ogm_core.cells.model import Plane, cell_bytes
 from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.lattice import CellRect
 
@@ -246,7 +246,7 @@ class TileStore:
 
 def tile_bytes(planes: tuple[Plane, ...]) -> int:
     """Memory of one tile of these planes together."""
-    return sum(_TILE_CELLS * plane.side**2 * np.dtype(plane.dtype).itemsize for plane in planes)
+    return _TILE_CELLS * sum(map(cell_bytes, planes))
 
 
 def tiles_met(rect: CellRect) -> int:

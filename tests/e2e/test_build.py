@@ -173,3 +173,38 @@ def test_a_log_that_gives_no_map_is_a_failure(ogm, lab_recording):
     assert "no scan changed the map (1 scans read, 1 integrated)" in blind.complaint(1)
     assert "no scan changed the map (220 scans read, 0 integrated, 220 dropped: no_pose)" in lost.complaint(1)
     assert not (ogm.folder / "built").exists()
+
+
+def test_a_map_of_counts_has_cells_half_as_wide_but_for_ros(ogm, lab_recording):
+    ended = ogm.run("build", lab_recording, "--out", "built", "--cell-model", "rate")
+    assert (ended.code, ended.err) == (0, "")
+    out, arrays = ogm.folder / "built", ogm.map("built/map.npz")
+    log_odds, cells = arrays["log_odds"], arrays["N"]
+    assert (arrays["resolution"], arrays["per_cell"]) == (0.025, 2)
+    assert log_odds.shape == arrays["H"].shape == tuple(2 * side for side in cells.shape)
+    known = ~np.isnan(log_odds)
+    p = 1.0 / (1.0 + np.exp(-log_odds[known].astype(float)))
+    expected = np.full(log_odds.shape, 205)
+    expected[known] = np.where(p > 0.65, 0, np.where(p < 0.196, 254, 205))
+    with Image.open(out / "map.png") as png, Image.open(out / "map.pgm") as pgm:
+        np.testing.assert_array_equal(np.asarray(png)[::-1], expected)
+        assert pgm.size == cells.shape[::-1]
+        assert {0, 254, 205} == set(np.unique(np.asarray(pgm)).tolist())
+    assert "resolution: 0.05\n" in (out / "map.yaml").read_text()
+    figures = quality(ogm)
+    assert figures["known_m2"] == pytest.approx(known.sum() * 0.025**2)
+    assert figures["occupied_m2"] == pytest.approx(np.sum(p > 0.65) * 0.025**2)
+    assert figures["consistency"]["free"] > 0.9
+
+
+def test_a_model_that_counts_takes_no_parameters_of_log_odds(ogm, lab_recording):
+    for flags in (
+        ("--traversal", "dda"),
+        ("--cells", "int16"),
+        ("--p-occ", "0.8"),
+        ("--sensor-model", "sector"),
+    ):
+        ended = ogm.call("build", lab_recording, "--out", "built", "--cell-model", "rate", *flags)
+        assert ended.code == 2
+        assert flags[0].removeprefix("--").replace("-", "_") in ended.err
+        assert ended.err.count("\n") == 1

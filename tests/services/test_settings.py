@@ -8,6 +8,7 @@ import yaml
 
 from ogm_client.session import NetworkConfig
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadSetting
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
@@ -473,3 +474,26 @@ def test_the_address_of_http_has_no_port(host):
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "fe80::1%eth0", "localhost", "robot-1.example.org"])
 def test_an_address_or_a_name_is_what_http_is_served_on(host):
     assert load_settings(config=None, flags={}, environ={"OGM_HTTP__HOST": host}).http.host == host
+
+
+@pytest.mark.parametrize("name", ["traversal", "cells", "p_prior", "p_occ", "p_free", "l_min", "l_max"])
+def test_a_model_that_counts_takes_nothing_of_log_odds(load, name):
+    value = str(getattr(Settings().map, name))
+    with pytest.raises(BadSetting, match=rf"^map\.{name}: cell model rate counts and has no log odds"):
+        load(flags={"map": {"cell_model": "rate", name: value}})
+    with pytest.raises(BadSetting, match=r"^map\.p_occ, map\.l_max: cell model rate"):
+        load(flags={"map": {"cell_model": "rate", "l_max": "4", "p_occ": "0.8"}})
+
+
+def test_a_model_that_counts_is_chosen_by_name(load):
+    settings = load(flags={"map": {"cell_model": "rate", "sensor_model": "beam", "reach": "20"}})
+    assert settings.grid_settings().cell_model == Rate()
+    with pytest.raises(BadSetting, match="sensor_model: cell model Rate takes beam, not sector"):
+        load(flags={"map": {"cell_model": "rate", "sensor_model": "sector"}})
+    with pytest.raises(BadSetting, match=r"resolution: 0\.002 m or more is needed"):
+        load(flags={"map": {"cell_model": "rate", "resolution": "0.001"}})
+
+
+def test_a_preset_says_nothing_of_log_odds_to_a_model_that_counts(load):
+    lab = load(flags={"map": {"preset": "lab", "cell_model": "rate"}}).grid_settings()
+    assert (lab.cell_model, lab.resolution, lab.outside) == (Rate(), 0.1, "drop")

@@ -200,3 +200,29 @@ def test_a_file_that_is_no_map_is_refused(tmp_path, content, says):
     with pytest.raises(BadMapFile) as caught:
         MapGrid.load(path)
     assert str(caught.value) == text
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"bounds": [-1, -9, 11, 3], "outside": "drop"}], ids=["unbounded", "bounded"]
+)
+def test_a_map_of_counts_goes_on_as_if_it_had_never_been_saved(tmp_path, changes):
+    counts = {"cell_model": "rate", "resolution": 0.1, **changes}
+    grid = mapped(settings_with(**counts), 5)
+    path = tmp_path / "map.npz"
+    path.write_bytes(encode_npz(grid.snapshot().finest()))
+    again = started_grid(settings_with(path, **counts), "after")
+    assert encode_npz(again.snapshot().finest()) == path.read_bytes()
+    for scan, pose in scans(5, seed=4):
+        assert again.integrate(scan, pose) == grid.integrate(scan, pose)
+    assert encode_npz(again.snapshot()) == encode_npz(grid.snapshot())
+
+
+def test_a_map_of_another_cell_model_is_refused(tmp_path):
+    for saved_as, given in (("rate", "log_odds"), ("log_odds", "rate")):
+        path = saved(mapped(settings_with(cell_model=saved_as), 1), tmp_path)
+        with pytest.raises(BadSetting) as error:
+            started_grid(settings_with(path, cell_model=given), "")
+        assert str(error.value) == (
+            f"map.cell_model is {given}, but mapper.start_map {path} was saved by a map of {saved_as} cells: "
+            f"give --cell-model {saved_as}"
+        )

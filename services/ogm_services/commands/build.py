@@ -77,11 +77,12 @@ def run_build(
         raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
     for line in [*complaints, *doubts(log, messages, feed)]:
         typer.echo(line, err=True)
-    quality = _judged(reader, snapshot, first, held, settings)
+    finest = snapshot.finest()
+    quality = _judged(reader, finest, first, held, settings)
     if true_world is not None:
-        quality["truth"] = truth_figures(snapshot, true_world)
+        quality["truth"] = truth_figures(finest, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
-    drawn = None if figure is None else _drawn(figure, log, snapshot, true_world, first)
+    drawn = None if figure is None else _drawn(figure, log, finest, true_world, first)
     write_map(out, snapshot, quality)
     if figure is not None and drawn is not None:
         write_figure(figure, drawn)

@@ -89,10 +89,12 @@ def draw_map(
 
 
 def describe(snapshot: MapSnapshot, settings: GridSettings) -> str:
-    """What a map was made with: number of scans, resolution, sensor model."""
+    """What a map was made with: number of scans, resolution, sensor model, and how beams count."""
     scans = "1 scan" if snapshot.scans == 1 else f"{snapshot.scans} scans"
-    traversal = f", traversal {settings.traversal}" if settings.sensor_model == "beam" else ""
-    return f"{scans}, resolution {snapshot.lattice.resolution:g} m, model {settings.sensor_model}{traversal}"
+    way = f", traversal {settings.traversal}" if settings.sensor_model == "beam" else ""
+    if settings.cell_model.lengths:
+        way = ", cell model rate"
+    return f"{scans}, resolution {snapshot.lattice.resolution:g} m, model {settings.sensor_model}{way}"
 
 
 def encode_figure(figure: Figure, form: str) -> bytes:

@@ -49,6 +49,8 @@ def check_place(out: Path) -> None:
 def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
     """Write map.npz, map.png, map.pgm, map.yaml and quality.json into the folder `out`, made if need be.
 
+    Those for ROS have the snapshot's own cells, the others the finest that its model has.
+
     Everything is encoded before anything is written, and on disk before the first file takes its name. Where
     `quality` is still to come, by `write_quality`, there is no quality.json afterwards: an old one would be
     another map's.
@@ -57,10 +59,10 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) 
         MapEmpty: there is nothing to draw.
         BadInput: the folder cannot be written.
     """
-    pgm = encode_pgm(snapshot)
+    pgm, finest = encode_pgm(snapshot), snapshot.finest()
     files = {
-        "map.npz": encode_npz(snapshot),
-        "map.png": encode_png(snapshot),
+        "map.npz": encode_npz(finest),
+        "map.png": encode_png(finest),
         "map.pgm": pgm,
         "map.yaml": encode_yaml(snapshot, "map.pgm", pgm),
     }

@@ -17,6 +17,7 @@ from pydantic import (
 from ogm_core.cells.forgetting import MAX_HALF_LIFE, MIN_HALF_LIFE
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.cells.model import CellModel
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import dump_yaml
 from ogm_core.grid_settings import (
@@ -41,6 +42,7 @@ from ogm_services.settings.sensors import SensorSettings
 from ogm_services.settings.values import (
     LOWER_CASE,
     NONE,
+    OF_LOG_ODDS,
     Bounds,
     Count,
     Endpoints,
@@ -89,8 +91,16 @@ class MapSettings(Section):
         """The cell model of this name, with its parameters.
 
         Raises:
-            BadSetting: probabilities and clamps contradict each other.
+            BadSetting: probabilities and clamps contradict each other, or are given to a model without.
         """
+        if self.cell_model == "rate":
+            given = [f"map.{name}" for name in OF_LOG_ODDS if name in self.model_fields_set]
+            if given:
+                raise BadSetting(
+                    f"{', '.join(given)}: cell model rate counts and has no log odds, increments, clamps or "
+                    "traversal: leave it out, or give map.cell_model log_odds"
+                )
+            return Rate()
         if self.cell_model != "log_odds":
             assert_never(self.cell_model)
         return LogOdds(self.cells, self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)

@@ -16,7 +16,7 @@ from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import parse_yaml
 from ogm_services.settings.entries import parse_entry, read_entry
 from ogm_services.settings.settings import LISTS, SECTIONS, Settings
-from ogm_services.settings.values import PRESETS, did_you_mean
+from ogm_services.settings.values import OF_LOG_ODDS, PRESETS, did_you_mean
 
 RENAMED = {("map", "model"): ("map", "sensor_model")}
 """Former names of settings: they hold for one release, and say so."""
@@ -93,6 +93,9 @@ def settings_and_origins(
     named = given.get(("map", "preset"))
     if named is not None:
         preset = PRESETS.get(str(named.value), {})
+        model = given.get(("map", "cell_model"))
+        if model is not None and model.value != preset.get("cell_model"):
+            preset = {key: value for key, value in preset.items() if key not in OF_LOG_ODDS}
         origin = f"preset {named.value}, {named.source}"
         given = {("map", key): _Given(value, origin) for key, value in preset.items()} | given
     values: dict[str, Any] = {}

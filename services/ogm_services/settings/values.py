@@ -37,6 +37,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 """Map settings that replace the defaults, by the preset's name."""
 
+OF_LOG_ODDS = ("traversal", "cells", "p_prior", "p_occ", "p_free", "l_min", "l_max")
+"""Map settings that say how log odds are kept and changed: another cell model has none of them."""
+
 
 DECIMAL = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 """Pattern of a number in decimal digits."""

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
-from ogm_core.cells.model import CellModel, StoredCells
+from ogm_core.cells.model import CellModel, Planes, StoredCells, cell_bytes
+from ogm_core.cells.rate import PLANES, Rate
 from ogm_core.errors import BadMapFile, BadSetting, LimitReached, OutsideBounds
+from ogm_core.files.counted_maps import CountedMap, load_counts
 from ogm_core.files.map_files import MAX_NPZ_BYTES, NpzMap, load_npz
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import SAME_RESOLUTION
@@ -63,29 +65,56 @@ def _grid_of_ros_map(settings: Settings, epoch: str, run: str, path: Path) -> Oc
 
 
 def _grid_of_npz(settings: Settings, epoch: str, run: str, path: Path) -> OccupancyGrid:
-    """The map that was saved, value for value: known cells keep their log odds, whatever the prior is now."""
-    largest = settings.mapper.max_cells * np.dtype(np.float64).itemsize
-    npz = load_npz(path, max_bytes=max(largest, MAX_NPZ_BYTES))
-    _check_resolution(settings, npz.resolution, path)
+    """The map that was saved, value for value, on its lattice.
+
+    Known cells keep their log odds, whatever the prior is now; of a model that counts, the counts stay.
+    """
+    model = settings.map.made_cell_model()
+    cell = max(sum(map(cell_bytes, model.planes)), np.dtype(np.float64).itemsize)
+    largest = max(settings.mapper.max_cells * cell, MAX_NPZ_BYTES)
+    counted = load_counts(path, PLANES, max_bytes=largest)
+    if counted is None and isinstance(model, LogOdds):
+        npz = load_npz(path, max_bytes=largest)
+        grid = _grid_on_lattice_of(npz, "log odds", settings, epoch, run, path)
+        _begin(grid, {PLANE: _cells_of_npz(npz, model, path)}, npz.offset, path)
+        return grid
+    if counted is None or not isinstance(model, Rate):
+        saved = "log_odds" if counted is None else "rate"
+        raise BadSetting(
+            f"map.cell_model is {settings.map.cell_model}, but mapper.start_map {path} was saved by a map of "
+            f"{saved} cells: give --cell-model {saved}"
+        )
+    grid = _grid_on_lattice_of(counted, "counts", settings, epoch, run, path)
+    _begin(grid, counted.planes, counted.offset, path)
+    return grid
+
+
+def _grid_on_lattice_of(
+    saved: NpzMap | CountedMap, values: str, settings: Settings, epoch: str, run: str, path: Path
+) -> OccupancyGrid:
+    """An empty map on the lattice of one that was saved, as the settings say."""
+    _check_resolution(settings, saved.resolution, path)
     if "start_confidence" in settings.mapper.model_fields_set:
         raise BadSetting(
-            f"mapper.start_confidence: {path} has its cells' log odds, which stay as they are: leave it out"
+            f"mapper.start_confidence: {path} has its cells' {values}, which stay as they are: leave it out"
         )
-    grid_settings = replace(settings.grid_settings(), resolution=npz.resolution, anchor=npz.anchor)
+    grid_settings = replace(settings.grid_settings(), resolution=saved.resolution, anchor=saved.anchor)
     grid = OccupancyGrid(grid_settings, epoch, run)
-    if grid.lattice.anchor != npz.anchor:
+    if grid.lattice.anchor != saved.anchor:
         raise BadSetting(
             f"map.bounds: they begin at {grid.lattice.anchor}, and the cells of mapper.start_map {path} are "
-            f"counted from {npz.anchor}: give the bounds of the map that was saved, or none"
+            f"counted from {saved.anchor}: give the bounds of the map that was saved, or none"
         )
-    cells = _cells_of_npz(npz, _log_odds(grid.model), path)
+    return grid
+
+
+def _begin(grid: OccupancyGrid, planes: Planes, offset: tuple[int, int], path: Path) -> None:
     try:
-        grid.begin_with({PLANE: cells}, npz.offset)
+        grid.begin_with(planes, offset)
     except OutsideBounds as error:
         raise BadSetting(
             f"map.bounds: {error} (mapper.start_map {path}): widen them, or give none"
         ) from error
-    return grid
 
 
 def _cells_of_npz(npz: NpzMap, model: LogOdds, path: Path) -> StoredCells:
@@ -117,7 +146,10 @@ def _cells_of_npz(npz: NpzMap, model: LogOdds, path: Path) -> StoredCells:
 
 def _log_odds(model: CellModel) -> LogOdds:
     if not isinstance(model, LogOdds):
-        raise BadSetting("mapper.start_map starts a map of log odds: leave it out, or map.cell_model")
+        raise BadSetting(
+            "mapper.start_map: a ROS map starts a map of log odds: leave out map.cell_model, or start with a "
+            "map.npz that was saved by a map of the same model"
+        )
     return model
 
 
