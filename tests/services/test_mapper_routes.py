@@ -192,7 +192,7 @@ def prometheus(text):
     samples = {}
     for family in text_string_to_metric_families(text):
         for name, labels, value, *_ in family.samples:
-            beyond = "process_", "ogm_build", "ogm_scan_", "ogm_http", "ogm_last", "ogm_queue", "ogm_memory"
+            beyond = "process_", "ogm_build", "ogm_scan_", "ogm_http", "ogm_l", "ogm_queue", "ogm_memory"
             if not name.startswith(beyond):
                 assert labels.pop("map") == "hall"
                 samples[(name, *labels.values())] = value
