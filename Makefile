@@ -60,8 +60,8 @@ $(BIN)/ogm build build/pictures/$(1).jsonl.gz --out build/pictures/$(1)
 cp build/pictures/$(1)/map.png docs/$(1).png
 endef
 
-# The live page that README.md shows, half way through the office: two minutes, and Chromium.
-page-picture: $(VENV)/.run
+# The live page that README.md and docs show, half way through the office and in the lab: three minutes, and Chromium.
+page-picture: $(VENV)/.web
 	$(BIN)/python -m docs.page_picture $(ARGS)
 
 # The tables of docs/variants.md.
@@ -104,6 +104,10 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 
 $(VENV)/.clients: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,clients]'
+	@touch $@
+
+$(VENV)/.web: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,web-test]'
 	@touch $@
 
 $(VENV)/.soak: $(VENV)/.dev

@@ -1,7 +1,7 @@
 // The banner: what whoever looks at the map has to know before he trusts it; and short notices, which go by themselves.
 import {element} from "./tables.js";
 import {say} from "./elements.js";
-import {state, subscribe} from "./state.js";
+import {change, state, subscribe} from "./state.js";
 
 const STALE_MS = 5000;  // so long nothing may come from a mapper that is there
 const NOTICE_MS = 8000;
@@ -9,12 +9,20 @@ let heard = Date.now();  // when something came last
 let before = null;  // the map that was told of last
 let notice = 0;  // a timer
 
-const clock = (ms) => new Date(ms).toLocaleTimeString([], {hour: "2-digit", minute: "2-digit", second: "2-digit"});
+const clock = (ms) => new Date(ms).toLocaleTimeString([], {hourCycle: "h23"});
+
+const isStale = () => Date.now() - heard > STALE_MS;
+
+// A mapper that hangs closes no connection: it is given up before its answers are.
+function watch() {
+  if (isStale() && state.connection.kind === "live") change("connection", {kind: "bad", text: "no answer from the mapper", by: null});
+  else show();
+}
 
 // What is wrong, [kind, text]; the text does not change while it lasts, lest it is read out again and again.
 function trouble() {
   const {connection, status} = state;
-  if (connection.kind === "bad" || Date.now() - heard > STALE_MS) {
+  if (connection.kind === "bad" || isStale()) {
     if (!before) return ["bad", "No answer from the mapper yet. It is asked again and again."];
     return ["bad", `Nothing from the mapper since ${clock(heard)}: what you see is from then. It goes on by itself.`];
   }
@@ -53,5 +61,5 @@ export function startBanner() {
   subscribe("connection", show);
   // A page that nobody sees asks for nothing, and has missed nothing.
   document.addEventListener("visibilitychange", hear);
-  setInterval(() => { if (!document.hidden) show(); }, 1000);
+  setInterval(() => { if (!document.hidden) watch(); }, 1000);
 }

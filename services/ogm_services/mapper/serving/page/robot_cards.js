@@ -5,7 +5,7 @@ import {isSilent, present} from "./robots.js";
 import {change, state} from "./state.js";
 import {element} from "./tables.js";
 import {missed, rateOf, troublesOf} from "./troubles.js";
-import {duration, perSecond, whole} from "./units.js";
+import {duration, perSecond, scans, whole} from "./units.js";
 
 const cards = new Map();  // by name; a card stays while its robot does, and so does the focus in it
 
@@ -34,7 +34,7 @@ class Card {
     this.follow.setAttribute("aria-pressed", String(followed));
     say(this.heard, age_s === null ? "never heard" : silent ? `silent ${duration(age_s)}` : followed ? "followed" : "alive");
     say(this.pose, pose ? `${pose[0].toFixed(1)}, ${pose[1].toFixed(1)} m` : "no pose");
-    say(this.scans, `${whole(integrated)} scans${rate === null || silent ? "" : `, ${perSecond(rate)}`}`);
+    say(this.scans, `${scans(integrated)}${rate === null || silent ? "" : `, ${perSecond(rate)}`}`);
     this.troubles.hidden = !troubles.length;
     this.troubles.classList.toggle("now", troubles.some(({rate, count}) => count === null || rate > 0));
     say(this.summary, inShort(troubles));
@@ -46,8 +46,8 @@ class Card {
 }
 
 function inShort(troubles) {
-  const names = [...new Set(troubles.map(({what}) => what))].join(", "), scans = missed(troubles);
-  return scans ? `${whole(scans)} not in the map: ${names}` : names;
+  const names = [...new Set(troubles.map(({what}) => what))].join(", "), count = missed(troubles);
+  return count ? `${whole(count)} not in the map: ${names}` : names;
 }
 
 export function showRobots() {
