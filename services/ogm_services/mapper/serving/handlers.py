@@ -16,9 +16,8 @@ _T = TypeVar("_T")
 
 
 def add_get(app: FastAPI, path: str, handler: Handler, operation: Operation) -> None:
-    """Route GET and HEAD."""
+    """Route GET, and HEAD with it (see `AllowedMethods`)."""
     app.add_api_route(path, handler, **operation.options())
-    app.add_api_route(path, handler, methods=["HEAD"], include_in_schema=False)
 
 
 async def in_turn(turns: Turns, answer: Callable[[], _T]) -> _T:

@@ -13,10 +13,11 @@ from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ogm_core.errors import OgmError
+from ogm_core.errors import OgmError, cut
 from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_core.wire.map_update import MEDIA_TYPE as UPDATES_TYPE
+from ogm_services.mapper.serving.allowed_methods import AllowedMethods, allowed_methods
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
 from ogm_services.mapper.serving.bearer_token import BearerToken
@@ -51,6 +52,7 @@ from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 from ogm_services.replies.turns import Turns
 
+METHOD_NOT_ALLOWED = 405
 UNHEARD = "t"
 """Query parameter that viewers add, with a new value each time, lest a cache answers them."""
 
@@ -122,6 +124,7 @@ def build_app(
     answers.count_cache(ready)
     names = OwnNames(access.hosts)
     app.add_middleware(WholePath)
+    app.add_middleware(AllowedMethods, routes=app.routes)
     write_access = WriteAccess(access.token)
     app.add_middleware(BearerToken, access=write_access, reads=READS | LOG_IN_PATHS)
     app.add_middleware(SameOrigin)
@@ -239,10 +242,14 @@ async def _ogm_error(_: Request, error: Exception) -> Response:
     return refusal(error)
 
 
-async def _http_error(_: Request, error: Exception) -> Response:
+async def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    body = problem(slug_of(error.status_code), error.status_code, str(error.detail))
-    return Response(body, error.status_code, error.headers, MEDIA_TYPE)
+    detail, headers = str(error.detail), dict(error.headers or {})
+    if error.status_code == METHOD_NOT_ALLOWED:
+        allowed = headers["Allow"] = allowed_methods(request.app.routes, request.scope)
+        detail = f"{cut(request.method)} is not for {cut(request.url.path)}: {allowed} are"
+    body = problem(slug_of(error.status_code), error.status_code, detail)
+    return Response(body, error.status_code, headers, MEDIA_TYPE)
 
 
 async def _bug(request: Request, error: Exception) -> Response:
