@@ -298,6 +298,7 @@ class MapperService:
         live = LiveClients(
             *(updates, self._live_turns, parts.in_flight, self.answers.check_ready),
             most=self._settings.http.max_live,
+            origins=self._access.origins,
             counted=measured.live_clients,
             ended=measured.live_ended,
         )

@@ -22,6 +22,7 @@ from ogm_services.settings.values import (
     Count,
     HostNames,
     Networks,
+    PageOrigins,
     RootPath,
     Token,
     WholeNumber,
@@ -51,9 +52,9 @@ class HttpSettings(Section):
     """Where the mapper serves HTTP, under which names, and the token that guards writes.
 
     Port 0 picks a free one. `hosts` are names besides the machine's own. `root_path` is the path that all of
-    it is served under, `forwarded_allow_ips` are the proxies whose X-Forwarded-* are believed. `max_live`
-    WebSocket clients are served at a time. `token_file` holds the token, on one line; a relative path starts
-    at the working folder.
+    it is served under, `forwarded_allow_ips` are the proxies whose X-Forwarded-* are believed, and
+    `cors_origins` other origins whose pages may ask. `max_live` WebSocket clients are served at a time.
+    `token_file` holds the token, on one line; a relative path starts at the working folder.
     """
 
     host: Annotated[str, AfterValidator(address_without_port)] = "127.0.0.1"
@@ -62,6 +63,7 @@ class HttpSettings(Section):
     root_path: Annotated[RootPath | None, NONE] = None
     forwarded_allow_ips: Networks = ()
     max_live: Count = 64
+    cors_origins: PageOrigins = ()
     token: Annotated[Token | None, NONE] = None
     token_file: Annotated[FilePath | None, NONE] = None
 

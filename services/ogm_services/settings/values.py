@@ -47,6 +47,11 @@ _NUMBER = re.compile(rf"\s*{DECIMAL}\s*", re.ASCII)
 
 
 _NAME_OF_HOST = re.compile(r"[A-Za-z0-9_\-]+(\.[A-Za-z0-9_\-]+)*\.?")
+_ORIGIN = re.compile(
+    r"(?P<scheme>https?)://([a-z0-9_\-]+(\.[a-z0-9_\-]+)*|\[[0-9a-f:.]+\])(:(?P<port>[1-9][0-9]{0,4}))?"
+)
+_USUAL_PORTS = {"http": "80", "https": "443"}
+"""They are not sent."""
 TOKEN = re.compile(r"[A-Za-z0-9\-._~+/]{16,512}=*")
 """A bearer token (RFC 6750, section 2.1); shorter ones are soon guessed."""
 TOKEN_FORM = "a token of 16 to 512 letters, digits and - . _ ~ + /"
@@ -183,6 +188,16 @@ def _network(value: str) -> str:
         ) from None
 
 
+def _page_origin(value: str) -> str:
+    origin = _ORIGIN.fullmatch(value.lower())
+    if value != "*" and (origin is None or origin["port"] == _USUAL_PORTS[origin["scheme"]]):
+        raise ValueError(
+            "origins as browsers send them are needed, such as https://map.example.org or "
+            "http://localhost:3000, or * for all"
+        )
+    return value.lower()
+
+
 def _token(value: SecretStr) -> SecretStr:
     if not TOKEN.fullmatch(value.get_secret_value()):
         raise ValueError(f"{TOKEN_FORM} is needed")
@@ -211,5 +226,8 @@ HostNames = Annotated[
 ]
 RootPath = Annotated[str, AfterValidator(_root_path)]
 Networks = Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], BeforeValidator(_list_from_text)]
+PageOrigins = Annotated[
+    tuple[Annotated[str, AfterValidator(_page_origin)], ...], BeforeValidator(_list_from_text)
+]
 Token = Annotated[SecretStr, AfterValidator(_token)]
 Endpoints = Annotated[tuple[Endpoint, ...], BeforeValidator(_list_from_text)]

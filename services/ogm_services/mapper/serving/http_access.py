@@ -1,8 +1,9 @@
 """Access over HTTP: by which names, through whom, and with what the mapper is asked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
+from ogm_services.mapper.serving.cross_origin import Origins
 from ogm_services.settings.http import HttpSettings
 
 
@@ -11,13 +12,14 @@ class HttpAccess:
     """Settings of HTTP, as far as they say who is answered.
 
     `hosts` are names by which it is asked, besides the machine's own; `root_path` is the path under which a
-    proxy serves it, and `proxies` are the addresses and networks of those that are believed; with a `token`
-    writes must carry it.
+    proxy serves it, and `proxies` are the addresses and networks of those that are believed; pages of
+    `origins` may ask, too; with a `token` writes must carry it.
     """
 
     hosts: tuple[str, ...] = ()
     root_path: str = ""
     proxies: tuple[str, ...] = ()
+    origins: Origins = field(default_factory=Origins)
     token: bytes | None = None
 
     @classmethod
@@ -31,5 +33,6 @@ class HttpAccess:
             hosts=(*settings.hosts, settings.host),
             root_path=settings.root_path or "",
             proxies=settings.forwarded_allow_ips,
+            origins=Origins(settings.cors_origins),
             token=settings.write_token(),
         )

@@ -22,6 +22,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
 from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.behind_proxies import BehindProxies, WholePath, check_root_path
+from ogm_services.mapper.serving.cross_origin import CrossOriginSharing
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
@@ -127,11 +128,15 @@ def build_app(
     app.add_middleware(AllowedMethods, routes=app.routes)
     write_access = WriteAccess(access.token)
     app.add_middleware(BearerToken, access=write_access, reads=READS | LOG_IN_PATHS)
-    app.add_middleware(SameOrigin)
+    app.add_middleware(
+        SameOrigin, origins=access.origins, reads=READS, token_needed=write_access.token_needed
+    )
     app.add_middleware(_NoStore)
     app.add_middleware(ready.around)
     app.add_middleware(_WithoutUnheard)
     app.add_middleware(InPieces, in_flight=in_flight or InFlight())
+    if access.origins:
+        app.add_middleware(CrossOriginSharing, origins=access.origins, routes=app.routes, reads=READS)
     app.add_middleware(KnownHosts, names=names)
     app.add_middleware(RefusedHttp)
     app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)

@@ -4,7 +4,7 @@ Here is who is let in, how many there are, and why one is served no longer; `liv
 """
 
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Container
 from contextlib import suppress
 from typing import Final
 
@@ -45,7 +45,7 @@ class LiveClients:
         check_ready: Callable[[], None],
         *,
         most: int,
-        origins: Collection[str] = (),
+        origins: Container[str] = (),
         counted: Callable[[int], None] = lambda _: None,
         ended: Callable[[str], None] = lambda _: None,
     ) -> None:
