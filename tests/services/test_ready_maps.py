@@ -5,6 +5,7 @@ from fastapi import Request
 
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
+from ogm_services.mapper.serving.content_coding import Accepted
 from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer
 
@@ -71,3 +72,36 @@ def test_what_is_kept_can_be_let_go(ready):
     ready.let_go()
     assert (ready.nbytes, ready._ready) == (0, {})
     assert keep(ready, b"body", [b"a"]) == [1]
+
+
+def test_a_text_that_is_packed_takes_the_place_of_the_one_that_is_not(ready):
+    text = Answer(b"[" + b"0," * 2000 + b"0]", "application/json", META)
+    plain, packing = request(b""), request(b"")
+    packing.scope["headers"] = [(b"accept-encoding", b"gzip")]
+    ready.keep(plain, Ready.map(text))
+    before = ready.nbytes
+    packed = Ready.map(text, Accepted(gzip=True, identity=True))
+    for _ in range(2):
+        response = ready.keep(packing, packed)
+        assert ready.nbytes == before + len(response.body) < before + len(text.body) // 10
+    assert [len(one.body) for one in (ready.keep(plain, packed), response)] == [
+        len(text.body),
+        ready.nbytes - before,
+    ]
+
+
+@pytest.mark.parametrize("accepted", [b"gzip", b"gzip;q=0.5", b"*"])
+def test_who_takes_gzip_has_what_is_not_packed_made_anew(ready, accepted):
+    made = Ready.map(Answer(bytes(2000), "text/plain", META))
+    scope = {"headers": [(b"accept-encoding", accepted)]}
+    assert made.response_to(scope) is None
+    assert made.response_to({"headers": []}).body == bytes(2000)
+    scope["headers"].append((b"if-none-match", b'"e-r-3"'))
+    assert made.response_to(scope).status_code == 304
+
+
+def test_under_a_path_a_map_is_kept_by_the_path_that_is_left_as_it_is_looked_for(ready):
+    under = request(b"")
+    under.scope |= {"path": "/maps/hall/map.png", "root_path": "/maps/hall"}
+    ready.keep(under, Ready.map(Answer(b"body", "image/png", META)))
+    assert list(ready._ready) == [("/map.png", b"")]

@@ -22,6 +22,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
 from ogm_services.mapper.serving.bearer_token import BearerToken
 from ogm_services.mapper.serving.behind_proxies import BehindProxies, WholePath, check_root_path
+from ogm_services.mapper.serving.content_coding import Gzip, accepted_by
 from ogm_services.mapper.serving.cross_origin import CrossOriginSharing
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
@@ -39,7 +40,7 @@ from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.page_routes import add_page_routes
 from ogm_services.mapper.serving.query_routes import READS, add_query_routes
-from ogm_services.mapper.serving.ready_maps import NO_STORE, ReadyMaps
+from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.refused_http import RefusedHttp
 from ogm_services.mapper.serving.same_origin import SameOrigin
@@ -132,6 +133,7 @@ def build_app(
         SameOrigin, origins=access.origins, reads=READS, token_needed=write_access.token_needed
     )
     app.add_middleware(_NoStore)
+    app.add_middleware(Gzip)
     app.add_middleware(ready.around)
     app.add_middleware(_WithoutUnheard)
     app.add_middleware(InPieces, in_flight=in_flight or InFlight())
@@ -233,7 +235,8 @@ def _handler(turns: Turns, answer: Callable[[Parameters], Answer]) -> Handler:
 def _map_handler(turns: Turns, answers: Answers, ready: ReadyMaps, form: str) -> Handler:
     async def handle(request: Request) -> Response:
         given = parameters_of(request)
-        return ready.shown(request, await in_turn(turns, partial(answers.map, form, given)))
+        taken = accepted_by(request.scope)
+        return ready.shown(request, await in_turn(turns, lambda: Ready.map(answers.map(form, given), taken)))
 
     return handle
 

@@ -14,7 +14,7 @@ from ogm_services.mapper.serving.json_models import FootprintsToCheck, PointsToC
 from ogm_services.mapper.serving.layers import LAYER_FORMATS, layer_parameters
 from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.raycasts import RAYCAST
-from ogm_services.mapper.serving.ready_maps import ReadyMaps
+from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.turns import Turns
 
@@ -66,7 +66,8 @@ def _add_layers(app: FastAPI, answers: Answers, ready: ReadyMaps, turns: Turns) 
     def handler(made: Callable[[Queries, str, Parameters], Answer], form: str) -> Handler:
         async def handle(request: Request) -> Response:
             given = parameters_of(request)
-            return ready.shown(request, await in_turn(turns, lambda: made(answers.queries, form, given)))
+            answer = await in_turn(turns, lambda: made(answers.queries, form, given))
+            return ready.shown(request, Ready.map(answer))
 
         return handle
 

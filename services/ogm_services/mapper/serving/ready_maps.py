@@ -10,6 +10,16 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.content_coding import (
+    IDENTITY,
+    VARY,
+    Accepted,
+    accepted,
+    goes_by_gzip,
+    gzipped,
+    is_text,
+    tag_of_gzip,
+)
 from ogm_services.mapper.serving.map_parameters import AT
 from ogm_services.replies.answer import Answer, Changed
 from ogm_services.replies.problems import MEDIA_TYPE, problem_of, status_of
@@ -36,13 +46,12 @@ class ReadyMaps:
         """The application behind."""
 
         async def answer(scope: Scope, receive: Receive, send: Send) -> None:
-            ready = None
+            response = None
             if scope["type"] == "http" and scope["method"] in ("GET", "HEAD"):
                 ready = self._ready.get((scope["path"], scope["query_string"]))
-            if ready is None or self._of != self._answers.now():
-                await app(scope, receive, send)
-            else:
-                await ready.response_to(scope)(scope, receive, send)
+                if ready is not None and self._of == self._answers.now():
+                    response = ready.response_to(scope)
+            await (response or app)(scope, receive, send)
 
         return answer
 
@@ -68,56 +77,86 @@ class ReadyMaps:
                 if self._of != now or self._size + size > room:
                     self._of, self._ready, self._size = now, {}, 0
                 if size <= room:
+                    before = self._ready.get(asked)
                     self._ready[asked] = ready
-                    self._size += size
-        return ready.response_to(request.scope)
+                    self._size += size if before is None else ready.size - before.size
+        return self.response(request, ready)
 
-    def shown(self, request: Request, answer: Answer) -> Response:
+    def shown(self, request: Request, ready: "Ready") -> Response:
         """The response to a request for a map, or what is made of one: kept, if it is the live one.
 
         One that is saved under a name may be deleted while the live map stays the same.
         """
-        if AT.name in request.query_params:
-            return self.response(request, answer)
-        return self.keep(request, Ready.map(answer))
+        saved = AT.name in request.query_params
+        return self.response(request, ready) if saved else self.keep(request, ready)
 
     @staticmethod
-    def response(request: Request, answer: Answer) -> Response:
-        """The response to a request for a map that is not kept: not the live one, or not the same for all."""
-        return Ready.map(answer).response_to(request.scope)
+    def response(request: Request, ready: "Ready") -> Response:
+        """The response to a request for a map that was made for it, whether that is kept or not."""
+        response = ready.response_to(request.scope)
+        assert response is not None  # made for what the request accepts
+        return response
 
 
 class Ready:
     """The responses that a map can be: itself, that it is the one known, that it is not the one wanted."""
 
-    def __init__(self, body: bytes, media_type: str, headers: Mapping[str, str], of: Identity) -> None:
-        """`headers` with an ETag; `of`: the map that was looked at, on whose stamp nothing depends."""
+    def __init__(
+        self,
+        body: bytes,
+        media_type: str,
+        headers: Mapping[str, str],
+        of: Identity,
+        taken: Accepted = IDENTITY,
+    ) -> None:
+        """`headers` with an ETag; `of`: the map that was looked at, on whose stamp nothing depends.
+
+        It is packed only if that is `taken`, as most are never asked for so.
+        """
         self.of = of
-        self.size = len(body)
-        self._etag = headers["ETag"]
-        self._whole = Response(body, media_type=media_type, headers=headers)
-        self._not_modified = Response(status_code=304, headers=headers)
+        self.size = self._length = len(body)
+        self._text = is_text(media_type)
+        plain = {**headers, **VARY} if self._text else headers
+        self._tags = headers["ETag"], tag_of_gzip(headers["ETag"])
+        self._whole = Response(body, media_type=media_type, headers=plain)
+        unchanged = Response(status_code=304, headers=plain)
+        self._unchanged = dict.fromkeys(self._tags, unchanged)
+        self._packed: Response | None = None
+        if self._text:
+            coded = {**plain, "ETag": self._tags[True]}
+            self._unchanged[self._tags[True]] = Response(status_code=304, headers=coded)
+            if goes_by_gzip(taken, self._length):
+                packed = gzipped(body)
+                self.size += len(packed)
+                coded["Content-Encoding"] = "gzip"
+                self._packed = Response(packed, media_type=media_type, headers=coded)
 
     @classmethod
-    def map(cls, answer: Answer) -> "Ready":
+    def map(cls, answer: Answer, taken: Accepted = IDENTITY) -> "Ready":
         """Those of a map, or of what is said of all of it."""
         headers = _map_headers(answer)
         meta = answer.meta or {}
         of = Identity(meta["epoch"], meta["run"], meta["revision"], meta["stamp"])
-        return cls(answer.body, answer.media_type, headers, of)
+        return cls(answer.body, answer.media_type, headers, of, taken)
 
-    def response_to(self, scope: Scope) -> Response:
-        """One of them, as the request's validators want it; it may be sent any number of times.
+    def response_to(self, scope: Scope) -> Response | None:
+        """One of them, as the request wants it; it may be sent any number of times.
 
-        If-Match is looked at first (RFC 9110, section 13.2.2).
+        None: it is to go by gzip, and was not made for that. If-Match is looked at first (RFC 9110, section
+        13.2.2). Validators name a map, in whichever coding: 304 says the one that the client has.
         """
-        wanted, known = (_lines(scope, name) for name in (b"if-match", b"if-none-match"))
-        if wanted and not _matches(wanted, self._etag, weak=False):
+        wanted, known, codings = _lines(scope)
+        if wanted and not any(_matches(wanted, tag, weak=False) for tag in self._tags):
             changed = Changed(
-                f"the map is at {self._etag} now, which is not what If-Match asks for: begin again"
+                f"the map is at {self._tags[0]} now, which is not what If-Match asks for: begin again"
             )
             return Response(problem_of(changed), status_of(changed), NO_STORE, MEDIA_TYPE)
-        return self._not_modified if _matches(known, self._etag, weak=True) else self._whole
+        by_gzip = self._text and bool(codings) and goes_by_gzip(accepted(b",".join(codings)), self._length)
+        if known:
+            for tag in (self._tags[by_gzip], self._tags[not by_gzip]):
+                if _matches(known, tag, weak=True):
+                    return self._unchanged[tag]
+        return self._packed if by_gzip else self._whole
 
 
 def _map_headers(answer: Answer) -> dict[str, str]:
@@ -135,8 +174,19 @@ def _map_headers(answer: Answer) -> dict[str, str]:
     }
 
 
-def _lines(scope: Scope, header: bytes) -> list[str]:
-    return [value.decode("latin-1") for name, value in scope["headers"] if name == header]
+def _lines(scope: Scope) -> tuple[list[str], list[str], list[bytes]]:
+    """The lines of If-Match, If-None-Match and Accept-Encoding, all at one look: it is for every request."""
+    wanted: list[str] = []
+    known: list[str] = []
+    codings: list[bytes] = []
+    for name, value in scope["headers"]:
+        if name == b"accept-encoding":
+            codings.append(value)
+        elif name == b"if-none-match":
+            known.append(value.decode("latin-1"))
+        elif name == b"if-match":
+            wanted.append(value.decode("latin-1"))
+    return wanted, known, codings
 
 
 def _matches(lines: list[str], etag: str, *, weak: bool) -> bool:

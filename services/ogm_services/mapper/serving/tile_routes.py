@@ -6,6 +6,7 @@ from fastapi import FastAPI, Request, Response
 
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TILE_HEADERS, Operation
+from ogm_services.mapper.serving.content_coding import accepted_by
 from ogm_services.mapper.serving.handlers import add_get, in_turn, parameters_of
 from ogm_services.mapper.serving.json_models import TileJson
 from ogm_services.mapper.serving.map_tiles import PLACE, TILE_PARAMETERS, MapTile
@@ -28,7 +29,8 @@ def add_tile_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMa
     async def description(request: Request) -> Response:
         refuse_parameters(parameters_of(request), "/tiles.json")
         # It says by which name it was asked, so that it is not kept for others.
-        return ready.response(request, await in_turn(turns, partial(answers.tiles, str(request.base_url))))
+        answer = await in_turn(turns, partial(answers.tiles, str(request.base_url)))
+        return ready.response(request, Ready.map(answer, accepted_by(request.scope)))
 
     picture = Operation(
         *("get_tile", "tiles", "A tile of the map: 256 x 256 pixels", "image/png"),
