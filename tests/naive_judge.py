@@ -124,7 +124,8 @@ class NaiveJudge:
 
     def outcome(self, ray):
         x, y, bearing, r = ray
-        for cell, enter, _ in crossed(x / self.resolution, y / self.resolution, bearing, R / self.resolution):
+        way = list(crossed(x / self.resolution, y / self.resolution, bearing, R / self.resolution))
+        for cell, enter, _ in way[1:]:
             if cell not in self.cells:
                 return "unknown"
             if self.cells[cell][1] > OCCUPIED:

@@ -43,8 +43,8 @@ def crossed_cells(
     """
     height, width = cells.shape
     if not (abs(u) < MAX_INDEX and abs(v) < MAX_INDEX):
-        values[0], ends[0] = beyond, longest
-        return 1
+        values[:2], ends[0], ends[1] = beyond, 0.0, longest
+        return 2
     du, dv = ray[DX], ray[DY]
     i, j = math.floor(u), math.floor(v)
     si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1

@@ -48,12 +48,16 @@ def beams_of(scans: Sequence[PlacedScan], settings: GridSettings) -> HeldOutBeam
 def returns_of(placed: PlacedScan, settings: GridSettings, every: int = 1) -> NDArray[np.float64]:
     """The returns among the beams of a scan, or among one in `every`, as rays."""
     beam = beam_model(placed.scan, settings)._replace(reach=math.inf)
-    rays: NDArray[np.float64] = _returns(read_only(placed.scan.ranges), beam, sensor_poses(placed), every)
+    rays: NDArray[np.float64] = collect_returns(
+        read_only(placed.scan.ranges), beam, sensor_poses(placed), every
+    )
     return rays
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _returns(ranges: Ranges, beam: BeamModel, sensor: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+def collect_returns(
+    ranges: Ranges, beam: BeamModel, sensor: NDArray[np.float64], every: int
+) -> NDArray[np.float64]:
     """Rays of the beams that are hits; `sensor` as in `beams.project`."""
     rays = np.empty((ranges.size, 5))
     n = 0

@@ -162,7 +162,7 @@ def test_a_wall_is_judged_where_the_beam_enters_it(measured, outcome):
     ("row", "outcome"),
     [
         ([-2.0, NAN, 2.0], "unknown"),
-        ([NAN, -2.0, 2.0], "unknown"),  # also the sensor's own cell
+        ([NAN, -2.0, 2.0], "hit"),  # the sensor's own cell may be unknown: it is not entered
         ([-2.0, 0.0, 2.0], "hit"),  # undecided is known
         ([-2.0, -2.0, logit(0.6499)], "unknown"),  # not above the threshold: on through it, and off the map
         ([-2.0] * 50, "long"),

@@ -13,7 +13,7 @@ from ogm_core.quality.figures import map_figures
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.history import CAPACITY, PERIOD, REST, History, Sample, sample_of
 
-FIELDS = ["stamp", "revision", "mean_entropy_bits", "entropy_bits", "known_m2"]
+FIELDS = ["stamp", "revision", "mean_entropy_bits", "entropy_bits", "known_m2", "hit"]
 
 
 class Look:
@@ -27,7 +27,8 @@ def look(series, revision, now, *, epoch="e", cost=0.0, known=True):
     """Look at a map as a monitor does; whether it was due."""
     due = series.due(epoch, revision, now)
     if due:
-        sample = Sample(round(now * 1e9), revision, 0.5, revision / 2, revision / 4) if known else None
+        figures = 0.5, revision / 2, revision / 4, None if revision % 3 else 0.75
+        sample = Sample(round(now * 1e9), revision, *figures) if known else None
         series.take(Look(epoch, revision), sample, now, now + cost)
     return due
 
@@ -47,6 +48,7 @@ def test_a_sample_is_what_its_fields_say():
         "mean_entropy_bits": [0.5, 0.5],
         "entropy_bits": [4.0, 6.0],
         "known_m2": [2.0, 3.0],
+        "hit": [None, 0.75],
     }
 
 
@@ -141,4 +143,5 @@ def test_the_sample_of_a_map(bounds):
     figures = map_figures(grid.snapshot())
     entropy = -(0.7 * math.log2(0.7) + 0.3 * math.log2(0.3))
     assert figures["mean_entropy_bits"] == pytest.approx(entropy, rel=1e-3)
-    assert sample_of(grid.snapshot()) == (7, 2, figures["mean_entropy_bits"], figures["entropy_bits"], 1.0)
+    entropies = figures["mean_entropy_bits"], figures["entropy_bits"]
+    assert sample_of(grid.snapshot(), 0.75) == (7, 2, *entropies, 1.0, 0.75)

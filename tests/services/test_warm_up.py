@@ -16,7 +16,7 @@ from ogm_core.files.map_files import PALETTES, encode_json, encode_npz, encode_p
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
-from ogm_core.quality import agreement
+from ogm_core.quality import agreement, first_walls, held_out_beams
 from ogm_core.queries import ray_kernel
 from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
 from ogm_core.tiles import overviews
@@ -51,6 +51,8 @@ KERNELS = (
     spans.update_blocks,
     spans.update_one_by_one,
     agreement.agreement,
+    held_out_beams.collect_returns,
+    first_walls.count_early_walls,
     ray_kernel.cast_rays,
     tiled_cells._count_written,
     tiled_cells._lay_out,

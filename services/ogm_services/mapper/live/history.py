@@ -1,4 +1,4 @@
-"""Time series of how a map settles: its entropy and its known area, in a bounded number of samples."""
+"""Time series of how a map settles: entropy, known area, predicted hits, in a bounded number of samples."""
 
 from typing import Any, NamedTuple
 
@@ -15,13 +15,17 @@ REST = 50.0
 
 
 class Sample(NamedTuple):
-    """Figures of a map at one revision; `stamp` is that of its newest integrated scan, ns."""
+    """Figures of a map at one revision; `stamp` is that of its newest integrated scan, ns.
+
+    `hit`: how well it has predicted scans since the sample before (see `predicted_hits`); None if none.
+    """
 
     stamp: int
     revision: int
     mean_entropy_bits: float
     entropy_bits: float
     known_m2: float
+    hit: float | None
 
 
 class History:
@@ -67,8 +71,8 @@ class History:
         self._period = PERIOD
 
 
-def sample_of(snapshot: MapSnapshot) -> Sample | None:
-    """The figures of a map; None before a scan has made a cell known."""
+def sample_of(snapshot: MapSnapshot, hit: float | None = None) -> Sample | None:
+    """The figures of a map, and how well it has predicted scans; None before a scan has made a cell known."""
     if snapshot.stamp is None:
         return None
     figures, _, _ = map_figures_within(snapshot, VISITS)
@@ -80,4 +84,5 @@ def sample_of(snapshot: MapSnapshot) -> Sample | None:
         figures["mean_entropy_bits"],
         figures["entropy_bits"],
         figures["known_m2"],
+        hit,
     )

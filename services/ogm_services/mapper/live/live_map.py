@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, cast
 
 from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
@@ -35,6 +36,15 @@ class _State(NamedTuple):
     identity: Identity
     rect: CellRect
     nbytes: int
+
+
+class Ahead(NamedTuple):
+    """A copy of the map, the newest scans in the map that the copy has not, and how many the map has."""
+
+    copy: MapSnapshot
+    settings: GridSettings
+    newest: list[PlacedScan]
+    scans: int
 
 
 class LiveMap:
@@ -163,6 +173,16 @@ class LiveMap:
     def newest_copy(self) -> MapSnapshot | None:
         """The newest snapshot that was taken, None if none was; waits for nobody."""
         return self._snapshot
+
+    def ahead_of_copy(self) -> "Ahead | None":
+        """What has come into the map since its newest copy, None if there is none of this life."""
+        with self._writing:
+            copy, grid = self._snapshot, self._grid
+            if copy is None or copy.epoch != grid.epoch:
+                return None
+            scans = grid.revision - grid.erasures
+            newest = list(self._recent)[max(0, len(self._recent) - (scans - copy.scans)) :]
+            return Ahead(copy, grid.settings, newest, scans)
 
     def info(self) -> MapInfo:
         """The status's `map_info`; known cells may be as old as `LiveFigures.known_cells` says."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from ogm_services.mapper.live.history import History, sample_of
 from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.predicted_hits import PredictedHits
 from ogm_services.mapper.live.true_world import Text, TrueWorld
 
 LOOK_PERIOD = 1.0
@@ -29,6 +30,7 @@ class Monitor:
 
     def __init__(self, live_map: LiveMap) -> None:
         self.series = History()
+        self._hits = PredictedHits(live_map)
         self.truth = TrueWorld()
         self._map = live_map
         self._stopping = threading.Event()
@@ -81,6 +83,7 @@ class Monitor:
         epoch, _, revision, _ = self._map.now
         began = time.monotonic()
         if self.series.due(epoch, revision, began):
+            hit = self._hits.share()  # by the copy of before, which this snapshot takes the place of
             snapshot = self._map.snapshot()
-            self.series.take(snapshot, sample_of(snapshot), began, time.monotonic())
+            self.series.take(snapshot, sample_of(snapshot, hit), began, time.monotonic())
         self._map.count_known()

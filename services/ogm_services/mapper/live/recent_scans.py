@@ -23,6 +23,9 @@ class RecentScans:
     def __iter__(self) -> Iterator[PlacedScan]:
         return iter(self._scans)
 
+    def __len__(self) -> int:
+        return len(self._scans)
+
     def append(self, placed: PlacedScan) -> None:
         """Add the newest, and let go of the oldest that are too many or too large."""
         self._scans.append(placed)

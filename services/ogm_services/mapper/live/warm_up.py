@@ -15,6 +15,7 @@ from ogm_core.files.map_files import encode_json, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.quality.first_walls import count_hits
 from ogm_core.queries.ray_kernel import cast_rays
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
@@ -55,6 +56,7 @@ def warm_up_rest(settings: GridSettings) -> None:
         encode_tile(tile.planes)
     scratch.quality()
     whole = scratch.snapshot()
+    count_hits(whole, PlacedScan(scan, pose), small, 1)
     start, ahead = whole.lattice.in_cells(np.array(pose[:2])).tolist(), np.array([[1.0, 0.0]])
     cast_rays((start[0], start[1]), ahead, 1.0, False, whole.offset, whole.encode(trinary))
     encode_json(whole, "", "percent")

@@ -215,6 +215,8 @@ class QualitySeries(_Reply):
     mean_entropy_bits: list[float]
     entropy_bits: list[float]
     known_m2: list[float]
+    hit: list[float | None]
+    """Share of beams, of one scan in ten, that the map had predicted before it had the scan."""
 
 
 class Quality(_Reply):
