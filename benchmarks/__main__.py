@@ -30,6 +30,7 @@ BENCHMARKS = (
     "pictures",
     "queries",
     "tiles",
+    "live",
     "http_load",
     "hostile_http",
     "build_speed",

@@ -71,17 +71,22 @@ def revisions_of(tiles: TileCopies, model: CellModel, first: Square, last: Squar
 
     Shape (in x, in y), from `first`.
     """
-
-    def window(square: Square) -> _Window:
-        return _window(tiles, square.rect.widened(model.margin))
-
-    across = [window(first._replace(x=x)).columns for x in range(first.x, last.x + 1)]
-    down = [window(first._replace(y=y)).rows for y in range(first.y, last.y + 1)]
+    side, margin = first.rect.width, model.margin
+    (left, bottom, *_), counts = tiles.rect, tiles.numbers.shape
+    west = (x * side - margin - left for x in range(first.x, last.x + 1))
+    south = ((-1 - y) * side - margin - bottom for y in range(first.y, last.y + 1))
+    across = [_met(start, side + 2 * margin, counts[0]) for start in west]
+    down = [_met(start, side + 2 * margin, counts[1]) for start in south]
     # x rises with the columns, y falls with the rows.
     columns, rows = slice(across[0].start, across[-1].stop), slice(down[-1].start, down[0].stop)
     of = tiles.revisions(columns, rows)
-    highest = np.stack([_within(of.T, part, columns.start).max(axis=1, initial=-1) for part in across])
-    return np.stack([_within(highest, part, rows.start).max(axis=1, initial=-1) for part in down], axis=1)
+    highest = np.empty((len(across), of.shape[1]), np.int64)
+    for i, part in enumerate(across):
+        highest[i] = of[part.start - columns.start : part.stop - columns.start].max(axis=0, initial=-1)
+    found = np.empty((len(across), len(down)), np.int64)
+    for j, part in enumerate(down):
+        found[:, j] = highest[:, part.start - rows.start : part.stop - rows.start].max(axis=1, initial=-1)
+    return found
 
 
 class TilePyramid:
@@ -221,16 +226,15 @@ def _window(tiles: TileCopies, rect: CellRect) -> _Window:
     here, places = [], []
     ends = ((rect.ix, rect.width, tiles.rect.ix), (rect.iy, rect.height, tiles.rect.iy))
     for (start, length, begin), count in zip(ends, tiles.numbers.shape, strict=True):
-        first, end = (start - begin) // TILE, -(-(start + length - begin) // TILE)
-        low = min(max(first, 0), count)
-        here.append(slice(low, max(low, min(end, count))))
-        places.append(low - first)
+        here.append(_met(start - begin, length, count))
+        places.append(here[-1].start - (start - begin) // TILE)
     return _Window(here[0], here[1], places[0], places[1])
 
 
-def _within(table: NDArray[np.int64], columns: slice, begin: int) -> NDArray[np.int64]:
-    """Some columns of a table whose first one is column `begin`."""
-    return table[:, columns.start - begin : columns.stop - begin]
+def _met(start: int, length: int, count: int) -> slice:
+    """Which of `count` tiles in a row so many cells from `start` on meet; none, if they lie outside."""
+    low = min(max(start // TILE, 0), count)
+    return slice(low, max(low, min(-(-(start + length) // TILE), count)))
 
 
 def _with_margin(tiles: TileCopies, margin: int, window: _Window) -> NDArray[np.int64]:

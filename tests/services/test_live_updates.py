@@ -34,12 +34,12 @@ def view(tiles=ALL, z=16, **fields):
 class Desk:
     """A live map, and what a client of it has been told."""
 
-    def __init__(self, **options):
+    def __init__(self, instant=-1.0):
         self.live = LiveMap(OccupancyGrid(GridSettings(0.1), "first", "run"))
         self.receipts = Receipts()
         self.scans = NewestScans(lambda: self.live.now.epoch)
-        self.tiles = MapTiles(self.live, **options)
-        self.updates = LiveUpdates("hall", self.live, self.tiles, self.receipts, self.scans)
+        self.tiles = MapTiles(self.live)
+        self.updates = LiveUpdates("hall", self.live, self.tiles, self.receipts, self.scans, instant)
         self.seen = Seen(self.live.now.life)
         self.held = {}
         self.rng = np.random.default_rng(3)
@@ -95,6 +95,22 @@ def test_only_what_has_changed_is_sent_again():
         desk.check(wanted)
 
 
+def test_for_an_instant_all_are_told_of_the_same_copy():
+    desk, wanted = Desk(instant=3600.0), view()
+    desk.drive(9)
+    assert desk.look(wanted)["revision"] == 9
+    desk.drive()
+    made = desk.updates.update(wanted, desk.seen)
+    assert msgpack.unpackb(made.body)["revision"] == 9
+    assert made.moment != desk.updates.now()  # so that it is told of the rest when the instant has passed
+    desk.live.snapshot()  # somebody else has taken a newer one
+    message = desk.look(wanted)
+    assert (message["revision"], desk.updates.update(wanted, desk.seen).moment) == (10, desk.updates.now())
+    desk.live.reset("second")
+    desk.seen = Seen(desk.live.now.life)
+    assert desk.look(wanted)["epoch"] == "second"
+
+
 def test_tiles_are_of_the_palette_that_is_asked_for():
     desk = Desk()
     desk.drive(20)
@@ -145,15 +161,15 @@ def test_an_update_has_4_mib_of_tiles_at_most_but_one_of_any_size(monkeypatch):
 def test_without_memory_for_tiles_they_come_later(monkeypatch):
     desk, wanted = Desk(), view()
     desk.drive(100)
-    tile, left = desk.tiles.tile, [4]
+    tile_of, left = desk.tiles.tile_of, [4]
 
     def short(*arguments):
         left[0] -= 1
         if left[0] < 0:
             raise Busy("no memory")
-        return tile(*arguments)
+        return tile_of(*arguments)
 
-    monkeypatch.setattr(desk.tiles, "tile", short)
+    monkeypatch.setattr(desk.tiles, "tile_of", short)
     assert [len(desk.look(wanted)["tiles"]) for _ in range(2)] == [4, 0]
     left[0] = 100
     message = desk.look(wanted)

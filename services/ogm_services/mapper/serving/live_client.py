@@ -79,7 +79,7 @@ class LiveClient:
         view, seen, lately = None, Seen(self._first_life), _Lately()
         while True:
             self._stirred.clear()
-            begun, known = loop.time(), self._updates.now()
+            begun = loop.time()
             assert self._wanted is not None
             if view is not self._wanted:
                 before, view = view, self._of_life(self._wanted, seen.life)
@@ -90,9 +90,10 @@ class LiveClient:
                 seen = made.seen
             lately.note(begun, seen)
             period = 1 / view.rate
-            await asyncio.sleep(begun + period - loop.time())
-            if made is not None and not made.more:
-                await self._changes.after(known, self._stirred, max(0.0, HEARTBEAT - period))
+            # Clients of the same rate are told at the same time: what several of them see is encoded once.
+            await asyncio.sleep(period * round(begun / period + 1) - loop.time())
+            if made is not None and made.moment is not None:
+                await self._changes.after(made.moment, self._stirred, max(0.0, HEARTBEAT - period))
 
     def _of_life(self, view: View, life: Life) -> View:
         """A view, whose `since` is of the map that it was told first, as one of the map that it has now."""

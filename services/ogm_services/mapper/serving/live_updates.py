@@ -1,5 +1,6 @@
 """Live updates: the messages that tell a WebSocket client what has changed of its view, as MessagePack."""
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,6 +25,8 @@ PROTOCOL: Final = 1
 MAX_TILES: Final = 64
 MAX_TILE_BYTES: Final = 4 * MEBIBYTE
 """An update has so many tiles, and so many bytes of them, at most; the others come with the next ones."""
+INSTANT: Final = 0.025
+"""So long a copy of the map will do for the next client, s: most tiles are then encoded once for all."""
 _ROBOTS_LAST = 1.0
 """Robots that go, without a message, are told of so late, s."""
 
@@ -41,25 +44,36 @@ class Moment(NamedTuple):
 
 
 class Update(NamedTuple):
-    """A message, what a client has seen once it has it, and whether there is more for it already."""
+    """A message, what a client has seen once it has it, and the moment of which that is."""
 
     body: bytes
     seen: Seen
-    more: bool
+    moment: "Moment | None"
+    """None: there is more for the client already."""
 
 
 class LiveUpdates:
     """Makes them for all clients, one at a time: what several want is made once. No thread of its own."""
 
     def __init__(
-        self, map_name: str, live_map: LiveMap, tiles: MapTiles, receipts: Receipts, scans: NewestScans
+        self,
+        map_name: str,
+        live_map: LiveMap,
+        tiles: MapTiles,
+        receipts: Receipts,
+        scans: NewestScans,
+        instant: float = INSTANT,
     ) -> None:
-        """`tiles` are those that HTTP serves, too."""
+        """`tiles` are those that HTTP serves, too; a copy of the map will do for so long, s."""
         self._map_name = map_name
         self._map = live_map
         self._tiles = tiles
         self._receipts = receipts
         self._scans = scans
+        self._instant = instant
+        self._shared = Identity("", "", -1, None)
+        """Which copy of the map was taken last; and when, s. It is not kept here: that would take memory."""
+        self._taken = -math.inf
         self._packed: dict[str, tuple[object, bytes]] = {}
         """Parts that are the same for all clients, with what they depend on."""
 
@@ -83,10 +97,10 @@ class LiveUpdates:
 
         Of another life of the map first that it has begun, and nothing else: the client forgets all.
         """
-        snapshot = self._map.snapshot()
+        snapshot, moves = self._snapshot(), self._receipts.moves
         now = Identity.of(snapshot)
         if now.life != seen.life:
-            return Update(self._message(now._replace(revision=0), view), Seen(now.life), more=True)
+            return Update(self._message(now._replace(revision=0), view), Seen(now.life), None)
         if seen.revision > now.revision:
             seen = Seen(now.life)
         due = _due(snapshot, view, seen)
@@ -97,22 +111,32 @@ class LiveUpdates:
             after = replace(seen, tiles={**seen.tiles, **sent})
         else:
             after = Seen(now.life, now.revision)
-        return Update(self._message(now, view, told, more=more), after, more)
+        moment = None if more else Moment(now.life, now.revision, moves)
+        return Update(self._message(now, view, told, more=more), after, moment)
 
-    def _told(self, snapshot: MapSnapshot, palette: str, due: list[Square]) -> list[_Told]:
+    def _snapshot(self) -> MapSnapshot:
+        """The map as it is, or was an instant ago: what clients ask for at the same time is one copy."""
+        copy, now = self._map.newest_copy, time.monotonic()
+        if copy is None or now - self._taken > self._instant or Identity.of(copy) != self._shared:
+            copy, self._taken = self._map.snapshot(), now
+            self._shared = Identity.of(copy)
+        elif self._shared.life != self._map.now.life:
+            return self._map.snapshot()
+        return copy
+
+    def _told(self, snapshot: MapSnapshot, palette: str, due: list[tuple[Square, int]]) -> list[_Told]:
         """The first of the tiles that are due, as many as there is room for."""
         told: list[_Told] = []
         size = 0
-        for square in due[:MAX_TILES]:
+        for square, revision in due[:MAX_TILES]:
             try:
-                tile = self._tiles.tile(square, palette, snapshot)
+                png = self._tiles.tile_of(snapshot, square, palette, revision).png
             except Busy:
                 break
-            size += len(tile.png)
+            size += len(png)
             if told and size > MAX_TILE_BYTES:
                 break
-            assert tile.revision is not None  # else it would not be due
-            told.append((*square, tile.revision, tile.png))
+            told.append((*square, revision, png))
         return told
 
     def _message(
@@ -166,8 +190,11 @@ class LiveUpdates:
         }
 
 
-def _due(snapshot: MapSnapshot, view: View, seen: Seen) -> list[Square]:
-    """Tiles of a view that have changed since they were seen: the longest unseen first, then the inmost."""
+def _due(snapshot: MapSnapshot, view: View, seen: Seen) -> list[tuple[Square, int]]:
+    """Tiles of a view that have changed since they were seen, with their revisions.
+
+    The longest unseen come first, then the inmost.
+    """
     revisions = revisions_of(tiles_of(snapshot), snapshot.model, view.first, view.last)
     x0, y0, x1, y1 = view.tiles
     due = []
@@ -176,8 +203,8 @@ def _due(snapshot: MapSnapshot, view: View, seen: Seen) -> list[Square]:
         had = seen.revision_of(square)
         if revisions[i, j] > had:
             off_centre = abs(2 * square.x - x0 - x1) + abs(2 * square.y - y0 - y1)
-            due.append((had, off_centre, square))
-    return [square for *_, square in sorted(due)]
+            due.append((had, off_centre, square, int(revisions[i, j])))
+    return [(square, revision) for *_, square, revision in sorted(due)]
 
 
 def _packed_map(parts: Mapping[str, bytes]) -> bytes:

@@ -86,14 +86,22 @@ class MapTiles:
         with self._lock:
             self._streams, self._size = OrderedDict(), 0
 
-    def tile(self, square: Square, palette: str, snapshot: MapSnapshot | None = None) -> MapTile:
-        """A tile of the map as it is now, or was in a `snapshot` of it.
+    def tile(self, square: Square, palette: str) -> MapTile:
+        """A tile of the map as it is now.
 
         Raises:
             Busy: there is no memory left to make it.
         """
-        snapshot = snapshot or self._map.snapshot()
+        snapshot = self._map.snapshot()
         revision = revision_of(_view(snapshot).tiles, snapshot.model, square)
+        return self.tile_of(snapshot, square, palette, revision)
+
+    def tile_of(self, snapshot: MapSnapshot, square: Square, palette: str, revision: int | None) -> MapTile:
+        """A tile of a copy of the map, which has that `revision_of`.
+
+        Raises:
+            Busy: there is no memory left to make it.
+        """
         resolution = snapshot.resolution * 2 ** (NATIVE_Z - square.z)
         tile = MapTile(EMPTY_TILE, Identity.of(snapshot), revision, resolution)
         if revision is None:
