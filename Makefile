@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Python, with compiled kernels kept where `ogm` keeps them.
 PYTHON_WITH_KERNELS := $(BIN)/python -m ogm_services.runtime.kernel_cache $(BIN)/python
 
-.PHONY: demo test test-ros2 test-clients check coverage format pictures page-picture variants costs bench bench-quick soak clean
+.PHONY: demo test test-ros2 test-clients test-web check coverage format pictures page-picture variants costs bench bench-quick soak clean
 
 demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
@@ -17,9 +17,11 @@ PARALLEL := -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # Tests that want programs by others.
 WITNESSED := tests/ros2 tests/e2e/test_ros2_played.py
 GENERATED := tests/services/test_generated_clients.py
+# Tests of the live page, in Chromium.
+WEB := tests/web
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(PARALLEL) $(addprefix --ignore ,$(WITNESSED) $(GENERATED)) $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) $(addprefix --ignore ,$(WITNESSED) $(GENERATED) $(WEB)) $(ARGS)
 
 # What ROS 2's own programs, and others, make of what is written, and what is made of theirs: CONTRIBUTING.md.
 test-ros2: $(VENV)/.dev
@@ -30,6 +32,11 @@ test-ros2: $(VENV)/.dev
 test-clients: $(VENV)/.clients
 	@tests/generated/install.sh build/clients
 	$(BIN)/python -m pytest $(GENERATED) -rs $(ARGS)
+
+# The live page as a browser shows it, driven by Playwright; pictures of it are left in build/web.
+test-web: $(VENV)/.web
+	@tests/web/install.sh
+	$(BIN)/python -m pytest $(WEB) -rs $(ARGS)
 
 # What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
 coverage: $(VENV)/.dev

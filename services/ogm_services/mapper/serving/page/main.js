@@ -51,7 +51,8 @@ function start(told) {
 }
 
 function wantTiles() {
-  if (!state.map.extent) return;
+  // Before it is known where to look nothing is looked at.
+  if (!state.map.extent || !(page.fitting.fitted || page.view.touched)) return;
   const rectangle = tilesOf(page.view.now(), devicePixelRatio, 1), asked = JSON.stringify(rectangle);
   if (asked === wanted) return page.tiles.refresh();
   wanted = asked;

@@ -76,7 +76,11 @@ export const pointLayer = {
 export function startReadout(view, redraw) {
   const soon = (delay = EVERY_MS) => { timer ||= setTimeout(() => refresh(view), delay); };
   const pin = (at) => { pinned = at; redraw(); soon(0); };
-  view.map.on("mousemove", ({containerPoint: {x, y}}) => { pointer = coarse.matches ? null : [x, y]; soon(); });
+  // The middle of the pixel that is pointed at: its edge may be another cell's.
+  view.map.on("mousemove", ({containerPoint: {x, y}}) => {
+    pointer = coarse.matches ? null : [x + 0.5, y + 0.5];
+    soon();
+  });
   view.map.on("mouseout", () => { pointer = null; soon(0); });
   view.map.on("move zoom", () => soon());
   view.map.on("click", ({latlng: {lat: y, lng: x}}) => { if (!state.tool) pin([x, y]); });
