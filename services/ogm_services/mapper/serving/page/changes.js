@@ -3,7 +3,7 @@ import {logOut, refreshAccess, write} from "./access.js";
 import {tell} from "./banner.js";
 import {ask} from "./dialogs.js";
 import {button} from "./elements.js";
-import {subscribe} from "./state.js";
+import {state, subscribe} from "./state.js";
 import {element} from "./tables.js";
 import {whole} from "./units.js";
 
@@ -36,8 +36,10 @@ export function startChanges(eraseTool) {
     element("changes").hidden = !writes.length;
   });
   let run = null;
-  subscribe("map", (told) => {
+  const look = (told) => {
     if (told.run !== run) refreshAccess().catch(() => {});  // the link says when the mapper is gone
     run = told.run;
-  });
+  };
+  subscribe("map", look);
+  look(state.map);
 }
