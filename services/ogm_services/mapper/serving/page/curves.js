@@ -2,7 +2,7 @@
 import {make} from "./elements.js";
 import {state, subscribe} from "./state.js";
 import {element, fill} from "./tables.js";
-import {area, bits, duration, percent, scans} from "./units.js";
+import {area, bits, counted, duration, percent} from "./units.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const CURVES = [["known_m2", "known area", area], ["mean_entropy_bits", "mean entropy", bits]];
@@ -45,7 +45,7 @@ function drawCurves() {
   const x = end > start ? series.stamp.map((stamp) => (stamp - start) / 1e9) : series.revision;
   const at = (k) => (x[k] - x[0]) / (x[last] - x[0] || 1);
   const where = looked === null ? last : x.findLastIndex((_, k) => at(k) <= looked);
-  element("since").textContent = `after ${end > start ? duration(x[where]) : scans(x[where])}`;
+  element("since").textContent = `after ${end > start ? duration(x[where]) : counted(x[where], "scan")}`;
   element("curves").replaceChildren(...CURVES.map(([field, name, words]) => spark(field, name, words, series[field], at, where)));
 }
 

@@ -4,7 +4,7 @@ import {tell} from "./banner.js";
 import {button, make, say} from "./elements.js";
 import {change, subscribe} from "./state.js";
 import {element} from "./tables.js";
-import {whole} from "./units.js";
+import {counted} from "./units.js";
 
 const LEAST = 3, MOST = 64;  // corners
 const SAME_PX = 6;  // corners of a double click
@@ -103,8 +103,9 @@ export class EraseTool {
     try {
       const erased = await write(`erase?polygon=${polygon}`);
       if (!erased) return;
-      tell(`Erased: ${whole(erased.cells)} known cells are unknown now.`);
+      tell(`Erased ${counted(erased.cells, "known cell")}.`);
       change("tool", null);
+      element("map").focus();
     } catch (error) {
       say(this.#text, `Not erased: ${error.message}`);
     } finally {

@@ -5,7 +5,7 @@ import {isSilent, present} from "./robots.js";
 import {change, state} from "./state.js";
 import {element} from "./tables.js";
 import {missed, rateOf, troublesOf} from "./troubles.js";
-import {duration, perSecond, scans, whole} from "./units.js";
+import {counted, duration, perSecond, whole} from "./units.js";
 
 const cards = new Map();  // by name; a card stays while its robot does, and so does the focus in it
 
@@ -34,7 +34,7 @@ class Card {
     this.follow.setAttribute("aria-pressed", String(followed));
     say(this.heard, age_s === null ? "never heard" : silent ? `silent ${duration(age_s)}` : followed ? "followed" : "alive");
     say(this.pose, pose ? `${pose[0].toFixed(1)}, ${pose[1].toFixed(1)} m` : "no pose");
-    say(this.scans, `${scans(integrated)}${rate === null || silent ? "" : `, ${perSecond(rate)}`}`);
+    say(this.scans, `${counted(integrated, "scan")}${rate === null || silent ? "" : `, ${perSecond(rate)}`}`);
     this.troubles.hidden = !troubles.length;
     this.troubles.classList.toggle("now", troubles.some(({rate, count}) => count === null || rate > 0));
     say(this.summary, inShort(troubles));

@@ -3,7 +3,7 @@
 export const percent = (share) => share === null ? "none" : `${(100 * share).toFixed(1)} %`;
 export const area = (value) => `${value.toFixed(1)} m²`;
 export const whole = (count) => count.toLocaleString("en");
-export const scans = (count) => `${whole(count)} ${count === 1 ? "scan" : "scans"}`;
+export const counted = (count, thing) => `${whole(count)} ${thing}${count === 1 ? "" : "s"}`;
 export const perSecond = (rate, what = "") => `${rate.toFixed(rate < 10 ? 1 : 0)} ${what}/s`;
 export const metresBy = (width, height) => `${width.toFixed(1)} × ${height.toFixed(1)} m`;
 export const bits = (value) => `${value.toFixed(3)} bits`;
