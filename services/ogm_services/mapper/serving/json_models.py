@@ -48,7 +48,7 @@ class FootprintsToCheck(_Asked):
 class LoginToken(_Asked):
     """The token that the mapper's settings have."""
 
-    token: Annotated[str, Field(max_length=512, examples=["secret-of-the-mapper"])]
+    token: Annotated[str, Field(examples=["secret-of-the-mapper"])]
 
 
 class _Reply(BaseModel):
