@@ -72,6 +72,13 @@ def test_every_operation_is_named_told_of_and_shown_by_examples():
             assert parameter["description"], (where, parameter["name"])
             (example,) = schema["examples"]
             validator(schema).validate(example)
+            assert parameter.get("example", example) == example
+            # In /docs, which takes < > for HTML and shows no example of a schema, but a default or a word.
+            assert "<" not in parameter["description"], (where, parameter["name"])
+            shown = {"default", "example"} & {*schema, *parameter}
+            assert shown or f"`{example}`" in parameter["description"], (where, parameter["name"])
+        for answer in told["responses"].values():
+            assert not any("<" in header["description"] for header in answer.get("headers", {}).values())
         for status, answer in told["responses"].items():
             if status == "304" or (path in OF_A_PROBE and status in ("200", "503")):
                 continue

@@ -67,7 +67,7 @@ _PROBLEM_HEADERS: Mapping[int, Headers] = {
 
 _EPOCH = Header("Id of the map's life: another one since it was made or emptied")
 MAP_HEADERS: Headers = {
-    "ETag": Header('"<epoch>-<run>-<revision>", the validator for If-None-Match and If-Match'),
+    "ETag": Header('"EPOCH-RUN-REVISION", the validator for If-None-Match and If-Match'),
     "OGM-Resolution": Header("Metres per pixel"),
     "OGM-Origin": Header("x,y of the lower-left corner, metres"),
     "OGM-Epoch": _EPOCH,
@@ -76,9 +76,7 @@ MAP_HEADERS: Headers = {
     "OGM-Stamp": Header("That of the newest integrated scan, ns since the Unix epoch, or null"),
 }
 TILE_HEADERS: Headers = {
-    "ETag": Header(
-        '"<epoch>-<run>-<revision>" of the tile, or "<epoch>-empty", for If-None-Match and If-Match'
-    ),
+    "ETag": Header('"EPOCH-RUN-REVISION" of the tile, or "EPOCH-empty", for If-None-Match and If-Match'),
     "OGM-Resolution": Header("Metres per pixel"),
     "OGM-Epoch": _EPOCH,
     "OGM-Run": Header("Id of the mapper's process; not of an empty tile", False),

@@ -194,16 +194,23 @@ class TextParameter:
 
 def described(parameters: Iterable[Parameter], place: str = "query") -> list[dict[str, Any]]:
     """Parameters of a route, as OpenAPI describes them; `place`: "query", "path" or "header"."""
-    return [
-        {
-            "name": parameter.name,
-            "in": place,
-            "required": parameter.needed,
-            "description": parameter.said,
-            "schema": parameter.schema(),
-        }
-        for parameter in parameters
-    ]
+    return [_described(parameter, parameter.schema(), place) for parameter in parameters]
+
+
+def _described(parameter: Parameter, schema: Schema, place: str) -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "name": parameter.name,
+        "in": place,
+        "required": parameter.needed,
+        "description": parameter.said,
+        "schema": schema,
+    }
+    (example,) = schema.get("examples", [None])
+    if parameter.needed:
+        told["example"] = example  # /docs begins with it
+    elif "default" not in schema:
+        told["description"] += f" (such as `{example}`)"  # which /docs does not show by itself
+    return told
 
 
 def check_names(given: Parameters, allowed: Collection[Parameter]) -> None:
