@@ -3,6 +3,7 @@
 import json
 import re
 from functools import cache
+from itertools import islice
 from unittest.mock import MagicMock
 
 import httpx
@@ -12,7 +13,7 @@ from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
 
 SHOWN = 50
-"""So many items of a list are looked at: all of them are alike, and a map has millions."""
+"""So many items of a list, or by name, are looked at: they are alike, and a map has millions."""
 BEYOND = {"/docs", "/docs/oauth2-redirect", "/openapi.json"}
 """What is served besides the routes that are described, and FILES of /docs and of the page."""
 FILES = "/static-offline-docs/", "/static/"
@@ -103,7 +104,9 @@ def _validator(schema):
 def _shortened(value):
     if isinstance(value, list):
         return [_shortened(item) for item in value[:SHOWN]]
-    return {name: _shortened(item) for name, item in value.items()} if isinstance(value, dict) else value
+    if isinstance(value, dict):
+        return {name: _shortened(item) for name, item in islice(value.items(), SHOWN)}
+    return value
 
 
 def _none(constant):
