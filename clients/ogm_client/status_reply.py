@@ -3,7 +3,7 @@
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
 from ogm_client.transport import json_object, printable
@@ -76,6 +76,8 @@ def read_reply(kind: type[_T], what: str, payload: bytes) -> _T:
 
 def _value(kind: Any, given: Any, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - JSON, and what is made of it
     """What JSON says, as a `kind`; the path says where it stands."""
+    if get_origin(kind) is Literal:  # who asked looks whether it is one of the words
+        kind = str
     if isinstance(kind, UnionType):  # of something and None
         return None if given is None else _value(get_args(kind)[0], given, path)
     if kind is Pose and isinstance(given, list) and len(given) == 3:

@@ -15,6 +15,7 @@ from ogm_core.cells.classes import FREE, OCCUPIED, UNKNOWN
 from ogm_core.errors import BadParameter
 from ogm_core.lattice import MAX_INDEX, CellRect, Lattice
 from ogm_core.queries.cell_runs import Ints, counted
+from ogm_core.queries.replies import FootprintState
 
 MAX_FOOTPRINTS = 4096
 """So many points or footprints may be asked about at once."""
@@ -29,7 +30,7 @@ MAX_ROWS = 100_000
 _PIECE = 2**15
 SLACK = 1e-6
 """So many cells more count as within the margin: sums of decimals seldom meet an edge exactly."""
-WORDS = {OCCUPIED: "occupied", UNKNOWN: "unknown", FREE: "free"}
+WORDS: dict[int, FootprintState] = {OCCUPIED: "occupied", UNKNOWN: "unknown", FREE: "free"}
 """What is told of a footprint."""
 _ROUNDED = 1e-8
 

@@ -1,6 +1,10 @@
 """Replies to queries, as they stand in JSON, name by name and in this order."""
 
 from dataclasses import dataclass
+from typing import Literal
+
+RayEnd = Literal["hit", "unknown", "none"]
+FootprintState = Literal["occupied", "unknown", "free"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +18,7 @@ class RaycastReply:
     run: str
     revision: int
     ranges: list[float]
-    ends: list[str]
+    ends: list[RayEnd]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,4 +31,4 @@ class CheckReply:
     epoch: str
     run: str
     revision: int
-    states: list[str]
+    states: list[FootprintState]

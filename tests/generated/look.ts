@@ -20,6 +20,8 @@ const corner: number[] = [map.origin.x, map.origin.y];
 const known: number = map.data.filter((value) => value >= 0).length;
 const cell = told(await mapper.GET("/cell", { params: { query: { x: 2.25, y: 0.25 } } }));
 const likely: boolean = cell.probability !== null && cell.probability > 0.5;
+const rays = told(await mapper.GET("/raycast", { params: { query: { x: 0.25, y: 0.25 } } }));
+const ends: ("hit" | "unknown" | "none")[] = rays.ends;
 const tile = await mapper.GET("/tiles/{z}/{x}/{y}.png", {
   params: { path: { z: 16, x: 0, y: -1 }, query: { palette: "dark" } },
   parseAs: "arrayBuffer",
@@ -33,6 +35,7 @@ console.log(
     status: [status.map, integrated, Object.values(dropped).reduce((sum, count) => sum + count, 0)],
     map: [map.width, map.height, corner, known],
     cell: [cell.ix, cell.iy, likely],
+    rays: [rays.ranges, ends],
     tile: [tile.response.status, told(tile).byteLength > 100],
     refused: [refused.error?.status, refused.error?.type],
   }),

@@ -92,6 +92,7 @@ def test_a_client_in_typescript(drawn, sources):
         "status": ["hall", 3, 0],
         "map": [4, 4, [-1.0, -1.0], 4],
         "cell": [4, 0, True],
+        "rays": [[1.75], ["hit"]],
         "tile": [200, True],
         "refused": [400, "bad-parameter"],
     }

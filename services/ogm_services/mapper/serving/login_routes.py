@@ -36,7 +36,7 @@ class LoginState:
     token_needed: bool
     logged_in: bool
     may_write: bool
-    writes: list[str]
+    writes: list[Write]
 
 
 _SHOW = Operation(
@@ -58,7 +58,7 @@ def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> Non
 
     def state(scope: Scope, *, logged_in: bool) -> Response:
         may_write = logged_in or access.problem(scope) is None
-        writes = [name for name in get_args(Write) if answers.saves or name in WITHOUT_STORE]
+        writes: list[Write] = [name for name in get_args(Write) if answers.saves or name in WITHOUT_STORE]
         told = LoginState(access.token_needed, logged_in, may_write, writes)
         return Response(orjson.dumps(asdict(told)), media_type="application/json")
 

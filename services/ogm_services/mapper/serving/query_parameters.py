@@ -1,4 +1,8 @@
-"""Parameters of questions: what each may be stands once, and is read, refused and described by that."""
+"""Parameters of questions: what each may be stands once, and is read, refused and described by that.
+
+FastAPI's own parameters would be read over HTTP alone, and refused in other words, and with another status,
+than over Zenoh.
+"""
 
 import math
 import re

@@ -15,6 +15,7 @@ from ogm_core.queries.rays import (
     start_of,
     window_of,
 )
+from ogm_core.queries.replies import RayEnd
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.messages import MAX_RANGE
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, NumberParameter, check_names
@@ -25,7 +26,7 @@ MAX_RAYS = 10_000
 MAX_CROSSED = 200_000_000
 """So many cells they may cross together at most: a second's work, about."""
 _MOST_TURNS = 1e6
-WORDS = {FOUND_WALL: "hit", FOUND_UNKNOWN: "unknown", FOUND_NOTHING: "none"}
+WORDS: dict[int, RayEnd] = {FOUND_WALL: "hit", FOUND_UNKNOWN: "unknown", FOUND_NOTHING: "none"}
 """What `ends` says of a ray."""
 
 X = NumberParameter("x", "where the rays begin, metres, map frame: a point of the map", example=0.0)
@@ -78,7 +79,7 @@ class Fan:
             UNKNOWN.read(given) == "pass",
         )
 
-    def cast(self, part: "FanCells") -> tuple[list[float], list[str]]:
+    def cast(self, part: "FanCells") -> tuple[list[float], list[RayEnd]]:
         """Ranges, m, and how the rays end: a word of WORDS each."""
         cells = part.snapshot
         found, distances = cast_rays(
