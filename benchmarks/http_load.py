@@ -38,18 +38,33 @@ def run(quick: bool) -> list[Result]:
 
 
 def measured(work: Workload, flags: list[str], cells: str, quick: bool) -> list[Result]:
-    """Rates of one map."""
+    """Rates of one map: its picture, and its cells as JSON, which go by gzip."""
     rounds, seconds = (QUICK_ROUNDS, QUICK_SECONDS) if quick else (ROUNDS, SECONDS)
+    results = []
     with mapper(*flags) as running:
         map_scans(running, work.scans)
-        ours = f"{running.url}map.png"
-        answer = httpx.get(ours, timeout=TIMEOUT)
-        etag = answer.headers["ETag"]
-        assert httpx.get(ours, headers={"If-None-Match": etag}, timeout=TIMEOUT).status_code == 304
-        with bare(answer.content) as theirs:
-            rates = interleaved(asked_beside(ours, theirs, etag), rounds, seconds)
-    size = f"{len(answer.content):,} bytes"
-    group = f"HTTP: /map.png of {cells} cells, {size}, unchanged; wrk, {CONNECTIONS} connections"
+        for path, coding in (("map.png", "identity"), ("map.json", "gzip")):
+            ours, takes = f"{running.url}{path}", {"Accept-Encoding": coding}
+            body, etag = _as_it_came(ours, takes)
+            known = {**takes, "If-None-Match": etag}
+            assert httpx.get(ours, headers=known, timeout=TIMEOUT).status_code == 304
+            with bare(body) as theirs:
+                asked = asked_beside(ours, theirs, etag, f"Accept-Encoding: {coding}")
+                rates = interleaved(asked, rounds, seconds)
+            said = f"/{path} of {cells} cells, {len(body):,} bytes{' of gzip' * (coding == 'gzip')}"
+            results += _compared(f"HTTP: {said}, unchanged; wrk, {CONNECTIONS} connections", rates)
+    return results
+
+
+def _as_it_came(url: str, headers: dict[str, str]) -> tuple[bytes, str]:
+    """The body of an answer, packed as it is, and its validator."""
+    with httpx.stream("GET", url, headers=headers, timeout=TIMEOUT) as answer:
+        body = b"".join(answer.iter_raw())
+        assert answer.headers.get("Content-Encoding", "identity") == headers["Accept-Encoding"]
+        return body, answer.headers["ETag"]
+
+
+def _compared(group: str, rates: dict[str, float]) -> list[Result]:
     results = []
     for status, what in (("200", "whole"), ("304", "304 Not Modified")):
         ours_rate, bare_rate = rates[status], rates[f"bare {status}"]
@@ -61,14 +76,14 @@ def measured(work: Workload, flags: list[str], cells: str, quick: bool) -> list[
     return results
 
 
-def asked_beside(ours: str, theirs: str, etag: str) -> dict[str, tuple[str, tuple[str, ...]]]:
+def asked_beside(ours: str, theirs: str, etag: str, *headers: str) -> dict[str, tuple[str, tuple[str, ...]]]:
     """URLs and request headers of an answer of ours and of a bare server's: whole, and if it has changed."""
     validator = f"If-None-Match: {etag}"
     return {
-        "200": (ours, ()),
-        "bare 200": (f"{theirs}map.png", ()),
-        "304": (ours, (validator,)),
-        "bare 304": (f"{theirs}unchanged.png", (validator,)),
+        "200": (ours, headers),
+        "bare 200": (f"{theirs}map.png", headers),
+        "304": (ours, (*headers, validator)),
+        "bare 304": (f"{theirs}unchanged.png", (*headers, validator)),
     }
 
 
