@@ -39,7 +39,7 @@ def serving(client, heard=None):
     server = FoxgloveServer("test", "127.0.0.1", 0)
     ending = threading.Event()
     try:
-        with FoxgloveBridge(server, client, heard) as bridge:
+        with FoxgloveBridge(server, client, heard, "tcp/there:7447") as bridge:
 
             def run():
                 while not ending.wait(0.01):
@@ -362,7 +362,12 @@ def test_a_mapper_that_is_started_anew_is_shown_and_meanwhile_viewers_are_told(s
                 viewer.subscribe("/map")
                 first = occupancy(viewer.next("/map"))[0]
                 before.service.__exit__(None, None, None)
-                viewer.told(lambda said: said["op"] == "status" and "no mapper" in said["message"])
+                viewer.told(
+                    lambda said: (
+                        said["op"] == "status"
+                        and said["message"].startswith("no mapper answers at tcp/there:7447")
+                    )
+                )
                 with start_mapper(**there) as after:
                     after.scan([2.0], at=1, pose=[0.25, 0.25, 0.0])
                     viewer.told(lambda said: said["op"] == "removeStatus")

@@ -42,13 +42,14 @@ def run_foxglove(url: str | None, network: NetworkSettings, host: str, port: int
         BadSetting, CannotConnect: there can be no mapper at the address.
         CannotListen: viewers cannot be served at this address and port.
     """
+    where = address_of(url, network)
     with ExitStack() as opening:
         server = FoxgloveServer("zenoh-ogm", host, port)
         opening.callback(server.close)
         typer.echo(f"viewers  {server.url} (Foxglove, Lichtblick: Foxglove WebSocket)")
         client, heard = _connected(opening, url, network)
-        bridge = opening.enter_context(FoxgloveBridge(server, client, heard))
-        typer.echo(f"map of   {address_of(url, network)}")
+        bridge = opening.enter_context(FoxgloveBridge(server, client, heard, where))
+        typer.echo(f"map of   {where}")
         pause = threading.Event()
         while True:
             pause.wait(PERIOD)

@@ -23,8 +23,13 @@ STATUS_PERIOD_ALONE = 0.5
 class FoxgloveBridge:
     """Shows a mapper's map and robots on a server, for as long as `step` is called; a context manager."""
 
-    def __init__(self, server: FoxgloveServer, client: MapClient, heard: HeardRobots | None) -> None:
-        """`heard`: what robots publish; None: the mapper is asked where they are, and scans are not shown."""
+    def __init__(
+        self, server: FoxgloveServer, client: MapClient, heard: HeardRobots | None, where: str
+    ) -> None:
+        """`heard`: what robots publish; None: the mapper is asked where they are, and scans are not shown.
+
+        `where` the mapper is, in words.
+        """
         self._heard = heard
         self._robots = RobotChannels(server.context)
         server.add_listener(self._robots.subscribed)
@@ -33,7 +38,7 @@ class FoxgloveBridge:
             opening.callback(map_channel.close)
             server.add_listener(map_channel.subscribed)
             period = STATUS_PERIOD_ALONE if heard is None else STATUS_PERIOD
-            self._poll = StatusPoll(client, period, server.say_trouble)
+            self._poll = StatusPoll(client, where, period, server.say_trouble)
             opening.callback(self._poll.close)
             self._open = opening.pop_all()
 

@@ -8,6 +8,7 @@ import numpy as np
 from foxglove import Channel, Context, Schema
 
 from ogm_client import MapClient, MapFollower, MapGrid
+from ogm_client.errors import CannotConnect, NobodyAnswered
 from ogm_client.transport import Version
 from ogm_core.cells.classes import UNKNOWN
 from ogm_core.errors import OgmError
@@ -70,6 +71,8 @@ class MapChannel:
             try:
                 with self._client.follow(interval=PERIOD) as follower:
                     self._show(follower)
+            except (CannotConnect, NobodyAnswered):
+                pass  # whoever asks for the status says so
             except OgmError as error:
                 self._complaints.of_kind("map", error.slug, str(error))
             except Exception:  # noqa: BLE001 - it is logged, with its traceback

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 from ogm_client import MapClient
-from ogm_client.errors import ClientError
+from ogm_client.errors import CannotConnect, ClientError, NobodyAnswered
 from ogm_core.status import RobotStatus
 
 _CLOSING = 2.0
@@ -13,9 +13,10 @@ _CLOSING = 2.0
 class StatusPoll:
     """A thread that asks for the status every `period` seconds."""
 
-    def __init__(self, client: MapClient, period: float, trouble: Callable[[str], None]) -> None:
-        """`trouble` is told what is wrong, "" when it is well; by the thread."""
+    def __init__(self, client: MapClient, where: str, period: float, trouble: Callable[[str], None]) -> None:
+        """`where` the mapper is; `trouble` is told, by the thread, what is wrong, "" when it is well."""
         self._client = client
+        self._where = where
         self._period = period
         self._trouble = trouble
         self._newest: dict[str, RobotStatus] | None = None
@@ -37,6 +38,9 @@ class StatusPoll:
         while not self._ending.is_set():
             try:
                 self._newest = self._client.status().robots
+            except (CannotConnect, NobodyAnswered):
+                if not self._ending.is_set():
+                    self._trouble(f"no mapper answers at {self._where}, trying again")
             except ClientError as error:
                 if not self._ending.is_set():
                     self._trouble(str(error))
