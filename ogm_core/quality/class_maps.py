@@ -7,10 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.arrays import CellArrays
+from ogm_core.cells.compiled import compiled
 from ogm_core.cells.log_odds import probability_of
+from ogm_core.cells.rate import PLANES, Rate
 from ogm_core.errors import BadMapFile
-from ogm_core.files.map_files import Place, load_npz
+from ogm_core.files.counted_maps import CountedMap, load_counts
+from ogm_core.files.map_files import MAX_NPZ_BYTES, Place, load_npz
+from ogm_core.lattice import Lattice
 from ogm_core.quality.judged_map import four_classes
+from ogm_core.snapshot import MapSnapshot
 
 CLASSES = ("unknown", "free", "undecided", "occupied")
 """Names of the classes, by their number (`judged_map.four_classes`)."""
@@ -34,10 +40,8 @@ def read_class_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> 
         BadMapFile: it cannot be read, is something else, or is a ROS map that is turned.
     """
     if path.suffix.lower() == ".npz":
-        npz = load_npz(path)
-        known = ~np.isnan(npz.log_odds)
-        classes = four_classes(probability_of(npz.log_odds), known)
-        return ClassMap(classes, Place(npz.resolution, npz.anchor, npz.offset), str(path))
+        counted = load_counts(path, PLANES, max_bytes=MAX_NPZ_BYTES)
+        return _of_log_odds(path) if counted is None else _of_counts(counted, path)
     # Here, because what reads pictures loads slowly.
     from ogm_core.files.ros_map_reader import read_ros_map
 
@@ -49,3 +53,18 @@ def read_class_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> 
     known = ros_map.occupancy >= 0
     classes = four_classes(ros_map.occupancy / 100.0, known)
     return ClassMap(classes, Place(ros_map.resolution, ros_map.origin, (0, 0)), str(path))
+
+
+def _of_log_odds(path: Path) -> ClassMap:
+    npz = load_npz(path)
+    classes = four_classes(probability_of(npz.log_odds), ~np.isnan(npz.log_odds))
+    return ClassMap(classes, Place(npz.resolution, npz.anchor, npz.offset), str(path))
+
+
+def _of_counts(counted: CountedMap, path: Path) -> ClassMap:
+    """Classes of the finest cells that counts tell of: exact, as log odds that are rounded are not."""
+    cells = CellArrays(counted.planes, {plane.name: plane.side for plane in PLANES})
+    lattice = Lattice(counted.resolution, counted.anchor)
+    finest = MapSnapshot(cells, compiled(Rate()), lattice, counted.offset, "", 0, None).finest()
+    place = Place(finest.lattice.resolution, counted.anchor, finest.offset)
+    return ClassMap(finest.encode(four_classes), place, str(path))

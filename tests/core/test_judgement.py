@@ -8,13 +8,14 @@ import pytest
 from naive_judge import NaiveJudge
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.log_odds import LogOdds, logit
+from ogm_core.cells.rate import Rate
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Lattice
 from ogm_core.quality.hazards import fitted_rates, step_edges
 from ogm_core.quality.held_out_beams import beams_of
 from ogm_core.quality.judged_map import JudgedMap
-from ogm_core.quality.judgement import judge, nats_of_empty_map
+from ogm_core.quality.judgement import judge, judge_by, nats_of_empty_map
 from ogm_core.quality.reliability import reliability
 from ogm_core.simulation.lidar import Lidar, measure
 from ogm_core.simulation.worlds import lab
@@ -225,3 +226,23 @@ def test_worse_poses_cost_bits():
         bits.append(judge(grid.snapshot(), settings, placed[5::10]).bits)
     assert bits[0] > 4.5
     assert bits[0] - bits[1] > 0.4
+
+
+def test_counts_are_judged_in_the_fine_cells_that_they_are_published_in():
+    settings = GridSettings(resolution=0.2, cell_model=Rate())
+    grid = OccupancyGrid(settings, "e")
+    scan = scan_of(np.full(60, 3.0), angle_increment=0.1)
+    for n in range(6):
+        grid.integrate(scan, Pose(0.01 * n, 0.0, 0.1 * n))
+    snapshot = grid.snapshot()
+    beams = beams_of([PlacedScan(scan, Pose(0.02, 0.01, 0.05))] * 4, settings)
+    finest = snapshot.finest()
+    p, known = finest.published()
+    judged = JudgedMap.of(snapshot)
+    assert judged.resolution == 0.1
+    assert np.array_equal(judged.classes != 0, known)
+    judgement = judge_by(judged, beams)
+    assert judgement.free_m2 == pytest.approx(np.sum(known & (p < 0.196)) * 0.01)
+    slow = naive_judge(finest, step_edges(judged.known_log_odds()))
+    assert judgement.walls == pytest.approx(slow.first_walls(rays_of(beams)), abs=1e-12)
+    assert judgement.bits > 5.0

@@ -9,11 +9,12 @@ from PIL import Image
 
 @pytest.fixture(scope="module")
 def two_maps(module_ogm, lab_recording):
-    """The folder of the lab's map by beams, and by sectors; and of one in smaller cells."""
+    """The folder of the lab's map by beams, and by sectors; of one in smaller cells, of counts."""
     for name, flags in (
         ("beams", ["--resolution", 0.1]),
         ("areas", ["--resolution", 0.1, "--sensor-model", "sector"]),
         ("fine", []),
+        ("counts", ["--resolution", 0.1, "--cell-model", "rate"]),
     ):
         assert module_ogm.call("build", lab_recording, "--out", name, *flags).code == 0
     return module_ogm
@@ -51,6 +52,16 @@ def test_a_map_equals_its_ros_map_but_for_what_is_undecided(two_maps):
     found = json.loads(two_maps.call("compare", "beams/map.npz", "beams/map.yaml", "--json").out)
     assert found["iou"] == {"occupied": 1.0, "free": 1.0}
     assert found["cells"]["undecided"]["unknown"] > 0
+
+
+def test_maps_of_counts_are_compared_in_their_fine_cells(two_maps):
+    ended = two_maps.call("compare", "counts/map.npz", "fine/map.npz", "--json")
+    assert (ended.code, ended.err) == (0, "")
+    found = json.loads(ended.out)
+    assert found["alike"] > 0.9
+    built = json.loads((two_maps.folder / "counts/quality.json").read_text())
+    for name in ("free", "occupied"):
+        assert sum(found["cells"][name].values()) * 0.05**2 == pytest.approx(built[f"{name}_m2"])
 
 
 def test_the_picture_covers_both_maps(two_maps):

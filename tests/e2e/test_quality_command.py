@@ -30,6 +30,9 @@ def test_figures_are_those_of_a_map_without_the_held_out_scans(ogm, lab_recordin
         areas = [figures["free_m2"], figures["occupied_m2"]]
         assert areas == pytest.approx([built["free_m2"], built["occupied_m2"]])
         assert judged(ogm, lab_recording, *LAB, *flags) == {name: found[name]}
+    counted = judged(ogm, lab_recording, *LAB, "--models", "rate")["rate"][str(lab_recording)]
+    assert counted == judged(ogm, lab_recording, *LAB, "--cell-model", "rate")["rate"][str(lab_recording)]
+    assert counted["bits"] > found["bresenham"][str(lab_recording)]["bits"] + 0.1
     both = [found[name][str(lab_recording)] for name in ("bresenham", "sector")]
     assert both[0]["bits"] != both[1]["bits"]
 

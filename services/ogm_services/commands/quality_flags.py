@@ -38,7 +38,7 @@ def quality(
         typer.Option(
             "--models",
             metavar="NAME,...",
-            help="Judge these side by side: bresenham, dda, sector (default: what the map flags say).",
+            help="Judge these side by side: bresenham, dda, sector, rate (default: what the map flags say).",
         ),
     ] = None,
     hold_out: Annotated[
