@@ -31,6 +31,7 @@ BENCHMARKS = (
     "queries",
     "tiles",
     "live",
+    "page",
     "http_load",
     "hostile_http",
     "build_speed",
