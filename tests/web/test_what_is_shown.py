@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from page_desk import lap
+from page_desk import lap, module
 
 PALETTES = "ros", "probability", "cividis", "dark", "costmap"
 
@@ -108,6 +108,23 @@ def test_a_robot_is_an_arrow_that_moves(mapper, look, eventually):
 
 
 ROBOT_X = "() => ogm.state.robots.robot1?.pose?.[0]"
+
+
+def test_walls_are_fitted_without_the_few_cells_that_lie_astray(lab, look):
+    watched = look(lab)
+    watched.page.goto(lab.url)
+    spans = watched.page.evaluate(
+        f"async (rows) => {{ const {{span}} = await {module('walls')}; return rows.map(span); }}",
+        [
+            [0, 3, *[1] * 8, 3, 0],
+            [0] * 50 + [7],
+            [1, *[0] * 99, *[20] * 20, *[0] * 99, 1],
+            [1, 0, 100, 100, 0, 1],
+        ],
+    )
+    assert spans == [[1, 11], [50, 51], [99, 121], [1, 5]]
+
+
 INK = """async () => {
   const pen = document.createElement("canvas").getContext("2d");
   pen.fillStyle = "hsl(20 85% 40%)";

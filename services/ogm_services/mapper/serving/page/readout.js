@@ -8,6 +8,7 @@ import {element} from "./tables.js";
 const EVERY_MS = 80, AGAIN_MS = 500;
 const OCCUPIED = 0.65, FREE = 0.196;
 const coarse = matchMedia("(pointer: coarse)");
+let fingers = coarse.matches;  // kept: to ask for it in each frame costs more than all else that is drawn
 let pointer = null;  // [u, v] on the canvas, CSS pixels
 let pinned = null;  // [x, y] in metres
 let timer = 0, asked = 0, shown = 0;
@@ -17,7 +18,7 @@ const meaning = ({known, probability}) =>
   !known ? "unknown" : probability > OCCUPIED ? "occupied" : probability < FREE ? "free" : "undecided";
 
 // By keyboard or with fingers one points with the middle of the view.
-const byMiddle = () => !pointer && (coarse.matches || document.activeElement === element("map"));
+const byMiddle = () => !pointer && (fingers || document.activeElement === element("map"));
 
 function show(lines) {
   element("place").replaceChildren(...lines.map((text) => {
@@ -78,9 +79,10 @@ export function startReadout(view, redraw) {
   const pin = (at) => { pinned = at; redraw(); soon(0); };
   // The middle of the pixel that is pointed at: its edge may be another cell's.
   view.map.on("mousemove", ({containerPoint: {x, y}}) => {
-    pointer = coarse.matches ? null : [x + 0.5, y + 0.5];
+    pointer = fingers ? null : [x + 0.5, y + 0.5];
     soon();
   });
+  coarse.addEventListener("change", () => { fingers = coarse.matches; });
   view.map.on("mouseout", () => { pointer = null; soon(0); });
   view.map.on("move zoom", () => soon());
   view.map.on("click", ({latlng: {lat: y, lng: x}}) => { if (!state.tool) pin([x, y]); });

@@ -1,8 +1,10 @@
-// Where the walls are: the region that holds all occupied cells, by overviews of the map.
+// Where the walls are: the region that holds the occupied cells, but for stray ones, by overviews of the map.
 import {ask} from "./ask.js";
 import {LEVELS, NATIVE_Z} from "./view.js";
 
 const SIZE = 256, TILES = 6;  // at most so many are looked at
+const STRAY = 0.005;  // so small a share of the occupied pixels may lie beyond each side
+const ROOM = 0.05;  // of the region, beyond each side, for walls that were taken for stray cells
 
 // The least coarse tiles that cover an extent.
 function covering({extent: [x0, y0, x1, y1], resolution, anchor: [ax, ay]}) {
@@ -14,8 +16,8 @@ function covering({extent: [x0, y0, x1, y1], resolution, anchor: [ax, ay]}) {
   }
 }
 
-// First and last column and row of a tile's pixels that are occupied; null: none is.
-async function occupied(path) {
+// Calls `found(u, v)` with each pixel of a tile that is occupied.
+async function eachOccupied(path, found) {
   const reply = await ask(`${path}?palette=ros`);
   if (!reply.ok) throw new Error(`${path}: ${reply.status}`);
   const bitmap = await createImageBitmap(await reply.blob());
@@ -23,27 +25,36 @@ async function occupied(path) {
   pen.drawImage(bitmap, 0, 0);
   bitmap.close();
   const pixels = new Uint32Array(pen.getImageData(0, 0, SIZE, SIZE).data.buffer);
-  let [u0, v0, u1, v1] = [SIZE, SIZE, -1, -1];
   for (let at = 0; at < pixels.length; at++) {
-    if (pixels[at] !== 0xff000000) continue;  // black, and not transparent
-    const u = at % SIZE, v = (at - u) / SIZE;
-    u0 = Math.min(u0, u); u1 = Math.max(u1, u); v0 = Math.min(v0, v); v1 = Math.max(v1, v);
+    // Black, and not transparent.
+    if (pixels[at] === 0xff000000) found(at % SIZE, Math.floor(at / SIZE));
   }
-  return u1 < 0 ? null : [u0, v0, u1 + 1, v1 + 1];
+}
+
+// From where to where most of what is counted lies: [first, beyond the last], by counts in a row.
+export function span(counts) {
+  const total = counts.reduce((sum, count) => sum + count, 0);
+  let low = 0, high = counts.length, below = counts[0], above = counts.at(-1);
+  while (below <= STRAY * total) below += counts[++low];
+  while (above <= STRAY * total) above += counts[--high - 1];
+  const room = Math.ceil(ROOM * (high - low));
+  const first = counts.findIndex((count) => count > 0), last = counts.findLastIndex((count) => count > 0);
+  return [Math.max(low - room, first), Math.min(high + room, last + 1)];
 }
 
 // [xmin, ymin, xmax, ymax] in metres, to a pixel of the overview; the map's extent if there are no walls.
 export async function wallsOf(told) {
   const {z, pixel, left, right, top, bottom} = covering(told), places = [];
   for (let x = left; x < right; x++) for (let y = top; y < bottom; y++) places.push([x, y]);
-  const found = (await Promise.all(places.map(async ([x, y]) => {
-    const box = await occupied(`tiles/${z}/${x}/${y}.png`);
-    return box?.map((at, k) => at + SIZE * (k % 2 ? y : x));
-  }))).filter(Boolean);
-  if (!found.length) return told.extent;
-  const side = (k, extreme) => extreme(...found.map((box) => box[k])), [ax, ay] = told.anchor;
+  const columns = new Array(SIZE * (right - left)).fill(0), rows = new Array(SIZE * (bottom - top)).fill(0);
+  await Promise.all(places.map(([x, y]) => eachOccupied(`tiles/${z}/${x}/${y}.png`, (u, v) => {
+    columns[SIZE * (x - left) + u] += 1;
+    rows[SIZE * (y - top) + v] += 1;
+  })));
+  if (!columns.some(Boolean)) return told.extent;
+  const [u0, u1] = span(columns), [v0, v1] = span(rows), [ax, ay] = told.anchor;
   return [
-    ax + pixel * side(0, Math.min), ay - pixel * side(3, Math.max),
-    ax + pixel * side(2, Math.max), ay - pixel * side(1, Math.min),
+    ax + pixel * (SIZE * left + u0), ay - pixel * (SIZE * top + v1),
+    ax + pixel * (SIZE * left + u1), ay - pixel * (SIZE * top + v0),
   ];
 }
