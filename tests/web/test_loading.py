@@ -15,7 +15,7 @@ def test_it_is_live_and_complains_of_nothing(lab, look, phone, keep, scheme, dev
     watched = look(lab, color_scheme=scheme, **(phone if device == "phone" else {}))
     watched.open()
     page = watched.page
-    assert page.get_by_role("heading", level=1).text_content() == "default"
+    assert page.get_by_role("heading", level=1).text_content() == "zenoh-ogm default"
     assert watched.state() == ("", "live")
     assert page.evaluate(DRAWN) >= 1
     assert page.locator("#palette").input_value() == {"light": "ros", "dark": "dark"}[scheme]
