@@ -130,6 +130,7 @@ def test_curves_are_looked_at_by_keys(lab, look):
     watched = look(lab)
     series = {"stamp": [0, 60e9, 240e9], "revision": [1, 2, 10**6], "entropy_bits": [1.0, 1.0, 1.0]}
     series |= {"mean_entropy_bits": [0.5, 0.25, 0.125], "known_m2": [10.0, 20.0, 40.0]}
+    series["hit"] = [None, 0.5, 0.75]
     told = {**lab.get("quality").json(), "series": series, "truth": None, "free_m2": 12.34}
     watched.page.route("**/quality", lambda route: route.fulfill(json=told))
     watched.open()
@@ -140,14 +141,29 @@ def test_curves_are_looked_at_by_keys(lab, look):
 
     assert page.locator("#figures").inner_text().splitlines()[0] == "free\t12.3 m²"
     assert page.locator("#truth").is_hidden()
-    at_the_end = ["after 4.0 min", "known area40.0 m²", "mean entropy0.125 bits"]
+    at_the_end = [
+        "after 4.0 min",
+        "known area40.0 m²",
+        "mean entropy0.125 bits",
+        "beams that the map predicts75.0 %",
+    ]
     assert shown() == at_the_end
     page.locator("#curves").focus()
     page.keyboard.press("ArrowLeft")
-    assert shown() == ["after 60 s", "known area20.0 m²", "mean entropy0.250 bits"]
+    assert shown() == [
+        "after 60 s",
+        "known area20.0 m²",
+        "mean entropy0.250 bits",
+        "beams that the map predicts50.0 %",
+    ]
     for _ in range(40):
         page.keyboard.press("ArrowLeft")
-    assert shown() == ["after 0 s", "known area10.0 m²", "mean entropy0.500 bits"]
+    assert shown() == [
+        "after 0 s",
+        "known area10.0 m²",
+        "mean entropy0.500 bits",
+        "beams that the map predictsnone",
+    ]
     page.keyboard.press("Tab")
     assert shown() == at_the_end
     name = page.get_by_role("img", name="known area").get_attribute("aria-label")

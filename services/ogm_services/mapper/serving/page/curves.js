@@ -5,7 +5,11 @@ import {element, fill} from "./tables.js";
 import {area, bits, counted, duration, percent} from "./units.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-const CURVES = [["known_m2", "known area", area], ["mean_entropy_bits", "mean entropy", bits]];
+const CURVES = [
+  ["known_m2", "known area", area],
+  ["mean_entropy_bits", "mean entropy", bits],
+  ["hit", "beams that the map predicts", percent],  // null where none was judged
+];
 const STEP = 0.02;  // of an arrow key
 let looked = null;  // which time is looked at, 0 to 1; null: the newest
 
@@ -19,7 +23,7 @@ function svg(tag, attributes, ...children) {
 function show(quality) {
   const {series} = quality, {revision, stamp} = state.status, now = {...quality, revision, stamp};
   if (series.revision.length && series.revision.at(-1) < now.revision) {
-    for (const [name, values] of Object.entries(series)) values.push(now[name]);
+    for (const [name, values] of Object.entries(series)) values.push(now[name] ?? null);
   }
   element("quality").hidden = !series.revision.length;
   element("truth").hidden = !quality.truth;
@@ -46,20 +50,22 @@ function drawCurves() {
   const at = (k) => (x[k] - x[0]) / (x[last] - x[0] || 1);
   const where = looked === null ? last : x.findLastIndex((_, k) => at(k) <= looked);
   element("since").textContent = `after ${end > start ? duration(x[where]) : counted(x[where], "scan")}`;
-  element("curves").replaceChildren(...CURVES.map(([field, name, words]) => spark(field, name, words, series[field], at, where)));
+  const shown = CURVES.filter(([field]) => series[field]?.some((value) => value !== null));
+  element("curves").replaceChildren(...shown.map(([field, name, words]) => spark(field, name, words, series[field], at, where)));
 }
 
 function spark(field, name, words, values, at, where) {
-  const most = Math.max(...values) || 1, last = values.length - 1;
-  const points = values.map((value, k) => `${100 * at(k)},${100 - 92 * value / most}`);
+  const is = (value) => value !== null, most = Math.max(...values) || 1;
+  const [first, last] = [values.findIndex(is), values.findLastIndex(is)];
+  const there = values.findLastIndex((value, k) => is(value) && k <= where);
+  const points = values.map((value, k) => is(value) && `${100 * at(k)},${100 - 92 * value / most}`), line = points.filter(Boolean).join(" ");
   return make("figure", {className: `spark ${field}`},
-    make("figcaption", {}, make("span", {}, name), make("span", {}, words(values[where]))),
+    make("figcaption", {}, make("span", {}, name), make("span", {}, words(values[there] ?? null))),
     svg("svg", {viewBox: "0 0 100 100", preserveAspectRatio: "none", role: "img",
-                "aria-label": `${name}: ${words(values[0])} at first, ${words(values[last])} now`},
-      svg("polygon", {points: `0,100 ${points.join(" ")} ${100 * at(last)},100`}),
-      svg("polyline", {points: points.join(" ")}),
-      svg("path", {class: "where", d: `M${points[where]}V100`}),
-      svg("path", {class: "point", d: `M${points[where]}h0`})));
+                "aria-label": `${name}: ${words(values[first])} at first, ${words(values[last])} now`},
+      svg("polygon", {points: `${100 * at(first)},100 ${line} ${100 * at(last)},100`}),
+      svg("polyline", {points: line}),
+      ...(there < 0 ? [] : [svg("path", {class: "where", d: `M${points[there]}V100`}), svg("path", {class: "point", d: `M${points[there]}h0`})])));
 }
 
 function look(where) {
