@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_client.counted_copy import NAME as COUNTED
+from ogm_client.counted_copy import counted_grid
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
 from ogm_client.transport import Version
@@ -107,7 +109,7 @@ class MapCopy:
         return [place for place, revision in self._changed.items() if revision > seen.revision]
 
     def grid(self) -> MapGrid:
-        """The copy as an occupancy grid map of its own; only what has changed is made anew for it.
+        """The copy as an occupancy grid map of its own; of log odds only what has changed is made anew.
 
         Raises:
             BadReply: there is none, or its model is one that this client cannot read, or it is too large.
@@ -115,6 +117,8 @@ class MapCopy:
         newest = self.newest
         if newest is None:
             raise BadReply("map.tiles: no map has come yet")
+        if newest.model["name"] == COUNTED:
+            return counted_grid(newest, self._tiles, self._max_bytes)
         _check_model(newest)
         exact, extent = newest.planes[0].dtype == np.float64, newest.extent
         size = extent.cells * (8 if exact else 4)
@@ -198,7 +202,7 @@ def _check_model(update: MapUpdate) -> None:
     """Refuse what this client cannot make log odds of."""
     model, planes = update.model, update.planes
     if model["name"] != PLANE or len(planes) != 1 or planes[0].name != PLANE or planes[0].side != 1:
-        raise BadReply(f"map.tiles: cells of log odds can be read, not of {model['name']!r}")
+        raise BadReply(f"map.tiles: log odds and counts can be read, not cells of {model['name']!r}")
     if planes[0].dtype not in (np.int16, np.float64):
         raise BadReply(f"map.tiles: log odds of int16 or float64 can be read, not of {planes[0].dtype}")
     if not all(isinstance(model.get(name), int | float) for name in ("l0", "step")):

@@ -276,7 +276,7 @@ def test_what_a_client_cannot_read_it_says():
     grid, rng, copy = new_grid(Counts()), np.random.default_rng(3), MapCopy(MUCH)
     grid.integrate(scan_at(10**18, rng), Pose(0.5, 0.5, 0.0))
     take(copy, message(grid.snapshot()))
-    with pytest.raises(BadReply, match="log odds can be read, not of 'Counts'"):
+    with pytest.raises(BadReply, match="can be read, not cells of 'Counts'"):
         copy.grid()
 
 

@@ -1,0 +1,67 @@
+"""A copy of a map of counts is the map that its mapper serves, cell for cell."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ogm_client import BadReply, MapGrid
+from ogm_client.counted_copy import counted_grid
+from ogm_client.map_copy import MapCopy, Taken
+from ogm_core.cells.rate import Rate
+from ogm_core.grid import OccupancyGrid
+from ogm_core.grid_settings import GridSettings
+from ogm_core.tiles.changes import ChangedTiles
+from ogm_core.types import Pose, Scan
+from ogm_core.wire.map_changes import updates_of
+from ogm_core.wire.map_update import decode_updates, encode_update
+
+MUCH = 2**30
+
+
+def scan_at(stamp, rng):
+    ranges = rng.uniform(0.5, 9.5, 48).astype(np.float32)
+    return Scan(stamp, -math.pi, math.tau / 48, 0.1, 9.0, ranges)
+
+
+def message(snapshot, since=None):
+    changed = ChangedTiles.since(snapshot.stored.tiles, since or 0)
+    (update,) = updates_of(snapshot, changed, since or 0, whole=since is None)
+    (told,) = decode_updates(encode_update(update))
+    return told
+
+
+def test_a_copy_is_the_map_that_is_served_after_every_change():
+    rng = np.random.default_rng(5)
+    grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate()), "e", "r")
+    copy, x, y, since = MapCopy(MUCH), 0.0, 0.0, None
+    for stamp in range(12):
+        grid.integrate(scan_at(stamp, rng), Pose(x, y, rng.uniform(-4.0, 4.0)))
+        x, y = x - rng.uniform(0.0, 6.0), y + rng.normal(0.0, 3.0)
+        snapshot = grid.snapshot()
+        assert copy.take(message(snapshot, since)) is Taken.APPLIED
+        since = snapshot.revision
+        expected, found = MapGrid.from_snapshot(snapshot.finest()), copy.grid()
+        # The mapper's are made by compiled code, which may round the last bit otherwise.
+        np.testing.assert_allclose(found.log_odds, expected.log_odds, rtol=2e-7, strict=True)
+        np.testing.assert_array_equal(found.occupancy, expected.occupancy)
+        for name in ("resolution", "anchor", "offset", "epoch", "run", "revision", "stamp"):
+            assert getattr(found, name) == getattr(expected, name)
+    assert found.resolution == 0.125
+    assert found.offset[0] < -128
+    assert (found.occupancy == 100).any()
+
+
+def test_counts_that_are_others_or_too_many_are_refused():
+    grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate()), "e", "r")
+    grid.integrate(scan_at(1, np.random.default_rng(1)), Pose(0.0, 0.0, 0.0))
+    told = message(grid.snapshot())
+    with pytest.raises(BadReply, match=r"its cells take \d{6} bytes, at most 100000 are allowed"):
+        counted_grid(told, {}, 100_000)
+    copy = MapCopy(MUCH)
+    names = [plane.name for plane in told.planes[:-1]]
+    other = replace(told, planes=told.planes[:-1], cells={name: told.cells[name] for name in names})
+    assert copy.take(other) is Taken.APPLIED
+    with pytest.raises(BadReply, match=r"in other planes than known here: N, C, F, E$"):
+        copy.grid()
