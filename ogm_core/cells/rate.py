@@ -21,8 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.halves import HITS, PASSING, PLANES_OF_HALVES, UNANSWERED, Halves, passing_of
 from ogm_core.cells.log_odds import PLANE as LOG_ODDS
+from ogm_core.cells.log_odds import logit, probability_of
 from ogm_core.cells.model import (
     P_EDGE,
     CellEvidence,
@@ -71,10 +73,7 @@ class _Counted(CellModel):
         """
         served = np.empty(source.shape, np.float32)
         for rows in row_bands(source.shape):
-            planes = source.planes(rows, margin=self.margin)
-            p, known = self.published(planes)
-            p = np.clip(p, P_EDGE, 1.0 - P_EDGE)
-            served[rows] = np.where(known, np.log(p / (1.0 - p)), np.nan)
+            served[rows] = _as_log_odds(*self.published(source.planes(rows, margin=self.margin)))
         counted = source.cells if isinstance(source, Halves) else source
         return {LOG_ODDS: served, **counted.planes(), "per_cell": np.array(self.per_cell)}
 
@@ -130,6 +129,18 @@ class RateHalves(_Counted):
     def published(self, planes: Planes) -> tuple[Probability, Known]:
         """Probability and whether known, of the halves."""
         return self.publish(planes[PASSING], planes[HITS], planes[UNANSWERED], OF_HALVES)
+
+
+def _as_log_odds(p: Probability, known: Known) -> NDArray[np.float32]:
+    """Log odds that read back as p, up to rounding, and as the very same class; NaN where unknown."""
+    within = np.clip(p, P_EDGE, 1.0 - P_EDGE)
+    served = np.log(within / (1.0 - within)).astype(np.float32)
+    read = probability_of(served)
+    for threshold in (OCCUPIED_ABOVE, FREE_BELOW):  # many cells are just as likely as CEILING
+        served[(p <= threshold) & (read > threshold)] = np.nextafter(np.float32(logit(threshold)), -np.inf)
+        served[(p >= threshold) & (read < threshold)] = np.nextafter(np.float32(logit(threshold)), np.inf)
+    served[~known] = np.nan
+    return served
 
 
 def _put_together(halves: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 
+from ogm_core.cells.classes import trinary
 from ogm_core.cells.rate import PLANES, Rate
 from ogm_core.errors import BadMapFile
 from ogm_core.files.counted_maps import load_counts
@@ -43,6 +44,9 @@ def test_planes_and_log_odds_are_saved(grid, tmp_path, finest):
     served = read_npz((tmp_path / "map.npz").read_bytes())
     assert (served.resolution, served.offset) == (snapshot.resolution, snapshot.offset)
     assert np.array_equal(np.isnan(served.log_odds), ~known)
+    read = 1 / (1 + np.exp(-served.log_odds[known].astype(float)))
+    assert np.array_equal(trinary(read, True), trinary(p[known], True))
+    assert np.count_nonzero(p == 0.65) > 10
     p = np.clip(p, 1e-9, 1 - 1e-9)[known]
     np.testing.assert_allclose(served.log_odds[known], np.log(p / (1 - p)), rtol=1e-6)
 
