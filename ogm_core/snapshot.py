@@ -86,6 +86,10 @@ class MapSnapshot:
         """Probability of "occupied", the prior's where unknown, and which cells were ever updated."""
         return self.model.published(self.stored.planes(rows, columns, self.model.margin))
 
+    def counted(self, rows: slice = _ALL, columns: slice = _ALL) -> dict[str, NDArray[Any]] | None:
+        """What was counted in cells, by name; None of models that do not count."""
+        return self.model.counted(self.stored.planes(rows, columns, self.model.margin))
+
     def log_odds(self, rows: slice = _ALL, columns: slice = _ALL) -> NDArray[np.float64]:
         """Log odds of "occupied", the prior's where unknown."""
         return self.model.published_log_odds(self.stored.planes(rows, columns, self.model.margin))

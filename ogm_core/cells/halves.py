@@ -39,15 +39,9 @@ class Halves:
         """The planes of some rows and columns, with so many halves more on every side; 0 beyond the map."""
         up, along = self._rows[rows], self._columns[columns]
         inner = slice(up.start // 2, -(-up.stop // 2)), slice(along.start // 2, -(-along.stop // 2))
-        planes = self.source.planes(*inner, _MARGIN)
-        cut = tuple(
-            slice(first, first + len(wanted) + 2 * margin)
-            for wanted in (up, along)
-            for first in (wanted.start - margin - 2 * (wanted.start // 2 - _MARGIN),)
+        return halved(
+            self.source.planes(*inner, _MARGIN), *(_cut(wanted, _MARGIN, margin) for wanted in (up, along))
         )
-        passing = _doubled(passing_of(planes))[cut]
-        passing += 2.0 * planes["E"][cut]
-        return {PASSING: passing, HITS: planes["H"][cut], UNANSWERED: _doubled(planes["F"])[cut]}
 
     @property
     def cells(self) -> CellSource:
@@ -67,6 +61,23 @@ class Halves:
     def value_counts(self, name: str) -> NDArray[np.int64]:
         """How often each value but 0 occurs in a plane of 16 bits: shape (65536,)."""
         return CellArrays(self.planes()).value_counts(name)
+
+
+def _cut(wanted: range, cells: int, margin: int) -> slice:
+    """Where the halves `wanted`, and `margin` more at both ends, lie among those of `cells` more at both."""
+    first = wanted.start - margin - 2 * (wanted.start // 2 - cells)
+    return slice(first, first + len(wanted) + 2 * margin)
+
+
+def halved(planes: Planes, rows: slice, columns: slice) -> Planes:
+    """Some rows and columns of the halves of these cells."""
+    passing = _doubled(passing_of(planes))[rows, columns]
+    passing += 2.0 * planes["E"][rows, columns]
+    return {
+        PASSING: passing,
+        HITS: planes["H"][rows, columns],
+        UNANSWERED: _doubled(planes["F"])[rows, columns],
+    }
 
 
 def passing_of(planes: Planes) -> NDArray[np.float64]:

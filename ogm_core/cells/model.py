@@ -169,6 +169,13 @@ class CellModel(ABC):
         """
         return None
 
+    def counted(self, planes: Planes) -> dict[str, NDArray[Any]] | None:
+        """What was counted in a window of cells without its `margin`, by name; None of models that do not.
+
+        `passing` in sides of a cell, `hits`, and `no_returns` in beams.
+        """
+        return None
+
     def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
         """What /map.npz holds of the cells: the planes as they are."""
         return dict(source.planes())

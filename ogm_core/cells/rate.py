@@ -16,6 +16,7 @@ depend on one beam alone: the order of scans does not matter, and the planes of 
 Two lattices can be served: `Rate` publishes cells, `RateHalves` halves, of which a map tells more.
 """
 
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,17 @@ from ogm_core.cells.model import (
     row_bands,
 )
 from ogm_core.cells.published import pooled_probabilities
-from ogm_core.cells.rate_publishing import OF_CELLS, OF_HALVES, Publish, publish
+from ogm_core.cells.rate_publishing import (
+    HIT_UNIT,
+    LENGTH_UNIT,
+    OF_CELLS,
+    OF_HALVES,
+    Counts,
+    Publish,
+    Publishing,
+    Unanswered,
+    publish,
+)
 
 PLANES = (
     Plane("N", np.dtype(np.uint16)),
@@ -53,6 +64,8 @@ class _Counted(CellModel):
 
     sensor_models = frozenset({"beam"})
     l0 = 0.0
+    rule: Publishing
+    """How its counts are published."""
     per_cell: int
     """How many of its cells lie along the side of one in which beams are counted."""
 
@@ -65,6 +78,23 @@ class _Counted(CellModel):
 
     def __hash__(self) -> int:
         return hash(type(self))
+
+    @abstractmethod
+    def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
+        """The counts that are published: see `Publish`."""
+
+    def published(self, planes: Planes) -> tuple[Probability, Known]:
+        """Probability and whether known."""
+        return self.publish(*self.handed_over(planes), self.rule)
+
+    def counted(self, planes: Planes) -> dict[str, NDArray[Any]]:
+        """Length of passing, hits, and beams that met nothing."""
+        edge = self.rule.margin
+        passing, hits, unanswered = (
+            cells[edge : cells.shape[0] - edge, edge : cells.shape[1] - edge]
+            for cells in self.handed_over(planes)
+        )
+        return {"passing": passing / LENGTH_UNIT, "hits": hits / HIT_UNIT, "no_returns": unanswered}
 
     def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
         """Log odds of what is published, float32, NaN where unknown; the planes, and `per_cell`.
@@ -86,6 +116,7 @@ class Rate(_Counted):
     """Counts, as the map keeps them; published are its cells, of the counts of all that lies in them."""
 
     lengths = True
+    rule = OF_CELLS
     per_cell = 1
     margin = OF_CELLS.margin
     spread = 2
@@ -103,11 +134,11 @@ class Rate(_Counted):
         """Count a scan's beams (see sensor_models.passing)."""
         return evidence.update_planes(store, window, revision)
 
-    def published(self, planes: Planes) -> tuple[Probability, Known]:
-        """Probability and whether known, of the cells."""
+    def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
+        """The counts of the cells: of all that lies in them."""
         cells = planes["F"]
         passing = 2.0 * passing_of(planes) + _put_together(planes["E"], cells.shape)
-        return self.publish(passing, _put_together(planes["H"], cells.shape), cells, OF_CELLS)
+        return passing, _put_together(planes["H"], cells.shape), cells
 
     def halved(self, source: CellSource) -> tuple[CellModel, CellSource]:
         """The halves, which tell more than the cells."""
@@ -118,6 +149,7 @@ class RateHalves(_Counted):
     """Halves of counted cells, as `cells.halves.Halves` lays them out; nothing updates them."""
 
     sensor_models = frozenset()
+    rule = OF_HALVES
     per_cell = 2
     margin = OF_HALVES.margin
     planes = PLANES_OF_HALVES
@@ -126,9 +158,9 @@ class RateHalves(_Counted):
         """Refuse: there is nothing that a scan could change."""
         raise NotImplementedError("halves are made of cells that take evidence, and take none")
 
-    def published(self, planes: Planes) -> tuple[Probability, Known]:
-        """Probability and whether known, of the halves."""
-        return self.publish(planes[PASSING], planes[HITS], planes[UNANSWERED], OF_HALVES)
+    def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
+        """The counts of the halves, as they are laid out."""
+        return planes[PASSING], planes[HITS], planes[UNANSWERED]
 
 
 def _as_log_odds(p: Probability, known: Known) -> NDArray[np.float32]:

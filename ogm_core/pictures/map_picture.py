@@ -16,9 +16,9 @@ from ogm_core.cells.value_bytes import Colours
 from ogm_core.lattice import CellRect
 from ogm_core.pictures.png import LEVEL, png_of, unfiltered, write_png
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.tiles.copies import TileCopies
+from ogm_core.tiles.halved import tiled
 from ogm_core.tiles.store import TILE
-from ogm_core.tiles.view import TileView
+from ogm_core.tiles.view import TiledCells, TiledView
 
 _ZLIB_HEADER = b"\x78\x01"
 _LAST_BLOCK = b"\x01\x00\x00\xff\xff"
@@ -61,8 +61,8 @@ class MapPicture:
 
         Greys, or bytes that `colours` draw; `transparent`: the byte 0 is not drawn.
         """
-        view = snapshot.stored
-        if not isinstance(view, TileView):
+        view = tiled(snapshot.stored)
+        if view is None:
             pixels = snapshot.encode(self._encoder)[::-1]
             return write_png(pixels, colours, transparent=transparent)
         with self._lock:
@@ -76,7 +76,7 @@ class MapPicture:
         pieces = [_ZLIB_HEADER, *(strip.piece for strip in strips), _LAST_BLOCK, check]
         return png_of(snapshot.width, snapshot.height, pieces, colours, transparent=transparent)
 
-    def _strip(self, snapshot: MapSnapshot, view: TileView, ty: int) -> Strip:
+    def _strip(self, snapshot: MapSnapshot, view: TiledView, ty: int) -> Strip:
         """The rows of the snapshot that lie in this row of tiles: those of before, if they are the same."""
         rect = view.rect
         south, north = max(rect.iy, ty * TILE), min(rect.iy + rect.height, (ty + 1) * TILE)
@@ -99,7 +99,7 @@ def _tiles_around(part: CellRect, margin: int) -> tuple[slice, slice]:
     return slice(west, east), slice(south, north)
 
 
-def _numbers(tiles: TileCopies, around: tuple[slice, slice]) -> bytes:
+def _numbers(tiles: TiledCells, around: tuple[slice, slice]) -> bytes:
     """The numbers of these tiles, 0 where the store has none: equal numbers are equal cells."""
     first = tiles.rect.ix // TILE, tiles.rect.iy // TILE
     found = np.zeros([part.stop - part.start for part in around], np.int64)

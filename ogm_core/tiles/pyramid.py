@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ogm_core.cells.model import CellModel, Planes
 from ogm_core.cells.value_bytes import value_byte
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.copies import TileCopies, placed
+from ogm_core.tiles.copies import placed
 from ogm_core.tiles.overviews import OVERVIEW_BYTES, TOP, look_up, make_overviews, put_together
 from ogm_core.tiles.store import TILE
-from ogm_core.tiles.view import TileView
+from ogm_core.tiles.view import TiledCells, TiledView
 
 PIXELS: Final = 256
 """Squares are so many pixels wide and high."""
@@ -56,7 +56,7 @@ class _Window(NamedTuple):
     """Tiles from the rectangle's first one to the window's."""
 
 
-def revision_of(tiles: TileCopies, model: CellModel, square: Square) -> int | None:
+def revision_of(tiles: TiledCells, model: CellModel, square: Square) -> int | None:
     """The revision since which a square's pixels are as they are; None if nothing was written that matters.
 
     The highest of the tiles that its cells meet, and those around them on which their probabilities depend.
@@ -66,7 +66,7 @@ def revision_of(tiles: TileCopies, model: CellModel, square: Square) -> int | No
     return None if revision < 0 else revision
 
 
-def revisions_of(tiles: TileCopies, model: CellModel, first: Square, last: Square) -> NDArray[np.int64]:
+def revisions_of(tiles: TiledCells, model: CellModel, first: Square, last: Square) -> NDArray[np.int64]:
     """Of all squares from `first` to `last`, of one z, the `revision_of`; -1 where it has none.
 
     Shape (in x, in y), from `first`.
@@ -109,10 +109,10 @@ class TilePyramid:
         """Keep no overviews; any thread."""
         self._kept = _Overviews(None)
 
-    def pixels(self, view: TileView, model: CellModel, square: Square) -> NDArray[np.uint8]:
+    def pixels(self, view: TiledView, model: CellModel, square: Square) -> NDArray[np.uint8]:
         """The value bytes of a square, (256, 256), row 0 south, of any revision; the newest are quick."""
         if square.z == NATIVE_Z:
-            return _value_bytes(model, view.window(square.rect, model.margin))
+            return _bytes_in(view, model, square.rect)
         tiles = view.tiles
         with self._lock:
             kept = self._kept
@@ -141,7 +141,7 @@ class _Overviews:
     def nbytes(self) -> int:
         return self._rows.nbytes + self._made.nbytes + self._which.nbytes
 
-    def pixels(self, view: TileView, model: CellModel, square: Square) -> NDArray[np.uint8]:
+    def pixels(self, view: TiledView, model: CellModel, square: Square) -> NDArray[np.uint8]:
         self.revision = view.tiles.revision
         self._cover(view.tiles.rect)
         window = _window(view.tiles, square.rect)
@@ -160,7 +160,7 @@ class _Overviews:
             self._which = _placed(self._which, self._rect, rect)
             self._rect = rect
 
-    def _bring_up_to_date(self, view: TileView, model: CellModel, window: _Window) -> None:
+    def _bring_up_to_date(self, view: TiledView, model: CellModel, window: _Window) -> None:
         """Make the overviews of the tiles in a window that have none, or older ones."""
         wanted = 1 + _with_margin(view.tiles, model.margin, window)
         made = self._made[window.columns, window.rows]
@@ -173,7 +173,7 @@ class _Overviews:
             self._make(view, model, tx[part] + window.columns.start, ty[part] + window.rows.start)
         made[tx, ty] = wanted[tx, ty]
 
-    def _make(self, view: TileView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]) -> None:
+    def _make(self, view: TiledView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]) -> None:
         """Make the overviews of some tiles."""
         which = self._which[tx, ty]
         new = np.flatnonzero(which == 0)
@@ -204,15 +204,28 @@ def _value_bytes(model: CellModel, planes: Planes) -> NDArray[np.uint8]:
     return found
 
 
+def _bytes_in(view: TiledView, model: CellModel, rect: CellRect) -> NDArray[np.uint8]:
+    """The value bytes of the cells of a rectangle; those beyond the map are unknown, whatever is near."""
+    found = _value_bytes(model, view.window(rect, model.margin))
+    inside = rect.intersection(view.rect)
+    if model.margin and inside != rect:
+        cut = np.zeros_like(found)
+        rows = slice(inside.iy - rect.iy, inside.iy - rect.iy + inside.height)
+        columns = slice(inside.ix - rect.ix, inside.ix - rect.ix + inside.width)
+        cut[rows, columns] = found[rows, columns]
+        return cut
+    return found
+
+
 def _side_by_side(
-    view: TileView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]
+    view: TiledView, model: CellModel, tx: NDArray[np.intp], ty: NDArray[np.intp]
 ) -> NDArray[np.uint8]:
     """The value bytes of some tiles of a copy, side by side."""
     if not model.margin:
         return _value_bytes(model, view.side_by_side(view.tiles.numbers[tx, ty]))
     frame, parts = view.tiles.rect, []
     for x, y in zip((frame.ix + TILE * tx).tolist(), (frame.iy + TILE * ty).tolist(), strict=True):
-        parts.append(model.encoded(view.window(CellRect(x, y, TILE, TILE), model.margin), value_byte))
+        parts.append(_bytes_in(view, model, CellRect(x, y, TILE, TILE)))
     return np.concatenate(parts, axis=1)
 
 
@@ -221,7 +234,7 @@ def _placed(table: NDArray[Any], rect: CellRect, wider: CellRect) -> NDArray[Any
     return placed(table, rect if rect.cells else wider, wider)
 
 
-def _window(tiles: TileCopies, rect: CellRect) -> _Window:
+def _window(tiles: TiledCells, rect: CellRect) -> _Window:
     """The tiles of a copy that `rect` meets; none, where it lies outside."""
     here, places = [], []
     ends = ((rect.ix, rect.width, tiles.rect.ix), (rect.iy, rect.height, tiles.rect.iy))
@@ -237,7 +250,7 @@ def _met(start: int, length: int, count: int) -> slice:
     return slice(low, max(low, min(-(-(start + length) // TILE), count)))
 
 
-def _with_margin(tiles: TileCopies, margin: int, window: _Window) -> NDArray[np.int64]:
+def _with_margin(tiles: TiledCells, margin: int, window: _Window) -> NDArray[np.int64]:
     """The revisions of a window's tiles; with a margin, the highest of each and the eight around it."""
     if not margin:
         return tiles.revisions(window.columns, window.rows)

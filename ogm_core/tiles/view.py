@@ -1,7 +1,7 @@
 """View of copied tiles as planes of a rectangle: laid out only where somebody asks for them."""
 
 import threading
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -14,6 +14,47 @@ from ogm_core.tiles.copies import TileCopies
 from ogm_core.tiles.store import TILE
 
 _ALL = slice(None)
+
+
+class TiledCells(Protocol):
+    """Which tiles of a map there are, and of which revision."""
+
+    @property
+    def rect(self) -> CellRect:
+        """The rectangle that the tiles fill."""
+
+    @property
+    def revision(self) -> int:
+        """Of the copy."""
+
+    @property
+    def lineage(self) -> object:
+        """See `TileCopies`."""
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Of every tile its number in the copy, shape (tiles in x, tiles in y); 0: never written."""
+
+    def revisions(self, columns: slice, rows: slice) -> NDArray[np.int64]:
+        """Of some tiles the revision since which each is as it is; -1 where none was written."""
+
+
+class TiledView(Protocol):
+    """Cells of a map, and the tiles that they lie in."""
+
+    @property
+    def rect(self) -> CellRect:
+        """The rectangle of what is served."""
+
+    @property
+    def tiles(self) -> TiledCells:
+        """The tiles."""
+
+    def window(self, rect: CellRect, margin: int = 0) -> Planes:
+        """The planes of any cells of the lattice, also of those outside; 0 where nothing was written."""
+
+    def side_by_side(self, numbers: NDArray[np.int64]) -> Planes:
+        """The planes of tiles of these numbers, from left to right; 0 is a tile that was never written."""
 
 
 class TileView:

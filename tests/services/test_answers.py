@@ -161,7 +161,7 @@ def test_an_unknown_format_is_told_with_those_there_are(desk, form):
     [
         (
             {"regoin": "0,0,1,1"},
-            "regoin: unknown parameter; there are: at, max_size, palette, region, transparent",
+            "regoin: unknown parameter; there are: at, max_size, palette, region, resolution, transparent",
         ),
         ({"region": "0,0,1"}, "region: xmin,ymin,xmax,ymax is needed, got '0,0,1'"),
         ({"region": "0,0,1,x"}, "region: a number is needed, got 'x'"),

@@ -301,15 +301,15 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
         if "get" in item
     }
     assert {path: names for path, names in named.items() if names} == {
-        "/map.png": {"region", "at", "palette", "transparent", "max_size"},
-        "/map.pgw": {"region", "at", "max_size"},
+        "/map.png": {"region", "at", "resolution", "palette", "transparent", "max_size"},
+        "/map.pgw": {"region", "at", "resolution", "max_size"},
         "/tiles/{z}/{x}/{y}.png": {"z", "x", "y", "palette", "rev"},
-        "/map.json": {"region", "at", "values"},
-        "/map.pgm": {"region", "at", "palette"},
-        "/map.yaml": {"region", "at"},
-        "/map.npz": {"region", "at"},
+        "/map.json": {"region", "at", "resolution", "values"},
+        "/map.pgm": {"region", "at", "resolution", "palette"},
+        "/map.yaml": {"region", "at", "resolution"},
+        "/map.npz": {"region", "at", "resolution"},
         "/map.tiles": {"since"},
-        "/cell": {"x", "y"},
+        "/cell": {"x", "y", "resolution"},
         "/distance.png": {"region", "at", "max_distance"},
         "/distance.npz": {"region", "at", "max_distance"},
         "/inflate.png": {"region", "at", "radius"},

@@ -153,14 +153,17 @@ class LiveMap:
         """Writer: how far the time of a map that forgets has come, ns; None before its first scan."""
         return self._grid.time.time
 
-    def cells_in(self, region: Region | None) -> int:
+    def cells_in(self, region: Region | None, *, finest: bool = False) -> int:
         """How many cells of the map a region covers, None: all of them; waits for nobody.
+
+        With `finest` those that are served of a model that has cells half as wide.
 
         Raises:
             BadParameter: the region is inverted or not finite.
         """
         rect = self._state.rect
-        return rect.cells if region is None else rect.intersection(self._grid.lattice.cover(region)).cells
+        cells = rect.cells if region is None else rect.intersection(self._grid.lattice.cover(region)).cells
+        return cells * self._grid.model.finest**2 if finest else cells
 
     def snapshot(self) -> MapSnapshot:
         """The map as it is now; the same object until it changes."""

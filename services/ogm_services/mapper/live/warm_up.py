@@ -21,8 +21,9 @@ from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
+from ogm_core.tiles.halved import tiled
 from ogm_core.tiles.pyramid import LEAST_Z, Square, TilePyramid
-from ogm_core.tiles.view import TileView
+from ogm_core.tiles.view import TiledView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.runtime.compilation import compiling_until
@@ -44,7 +45,7 @@ def warm_up(settings: GridSettings) -> None:
         np.zeros(scan.ranges.size, np.bool_),
     )
     scratch.info()
-    encode_png(scratch.snapshot())
+    encode_png(scratch.snapshot().finest())
 
 
 def warm_up_rest(settings: GridSettings) -> None:
@@ -55,12 +56,12 @@ def warm_up_rest(settings: GridSettings) -> None:
     for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
         encode_tile(tile.planes)
     scratch.quality()
-    whole = scratch.snapshot()
+    whole = scratch.snapshot().finest()
     count_hits(whole, PlacedScan(scan, pose), small, 1)
     start, ahead = whole.lattice.in_cells(np.array(pose[:2])).tolist(), np.array([[1.0, 0.0]])
     cast_rays((start[0], start[1]), ahead, 1.0, False, whole.offset, whole.encode(trinary))
     encode_json(whole, "", "percent")
-    TilePyramid().pixels(cast(TileView, whole.stored), whole.model, Square(LEAST_Z, 0, -1))
+    TilePyramid().pixels(cast(TiledView, tiled(whole.stored)), whole.model, Square(LEAST_Z, 0, -1))
     with suppress(LimitReached):  # a map that is full counts tiles by another kernel
         OccupancyGrid(replace(small, max_bytes=1)).integrate(scan, pose)
 

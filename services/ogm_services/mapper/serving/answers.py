@@ -30,8 +30,10 @@ from ogm_services.mapper.serving.map_parameters import (
     AT,
     CELL_X,
     CELL_Y,
+    FINE_FIRST,
     PALETTE,
     region_of,
+    served,
     shrunk,
     transparent,
 )
@@ -164,10 +166,12 @@ class Answers:
     def _cells(self, form: str, given: Parameters, region: Region | None) -> int:
         """How many cells an answer looks at; the picture that is kept up to date looks at few."""
         kept = form == "png" and given.keys() <= {"palette", "transparent"}
-        return 0 if kept else MAP_FORMATS[form].cells_looked_at(self._map.cells_in(region), given)
+        return (
+            0 if kept else MAP_FORMATS[form].cells_looked_at(self._map.cells_in(region, finest=True), given)
+        )
 
     def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
-        snapshot = self._map.snapshot()
+        snapshot = wanted.served(self._map.snapshot(), given)
         cropped = snapshot if region is None else snapshot.crop(region)
         picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
         if picture is None:
@@ -192,7 +196,7 @@ class Answers:
 
     def _picture_of(self, wanted: MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
-        if wanted is not MAP_FORMATS["png"] or whole.empty or "max_size" in given:
+        if wanted is not MAP_FORMATS["png"] or whole.empty or given.keys() & {"max_size", "resolution"}:
             return None
         palette = PALETTE.read(given)
         return self._coloured if transparent(given) else self._pictures.get(palette, self._coloured)
@@ -245,9 +249,9 @@ class Answers:
             BadParameter: x or y is missing or is not a coordinate.
         """
         self.check_ready()
-        check_names(given, (CELL_X, CELL_Y))
+        check_names(given, (CELL_X, CELL_Y, FINE_FIRST))
         x, y = CELL_X.read(given), CELL_Y.read(given)
-        snapshot = self._map.snapshot()
+        snapshot = served(self._map.snapshot(), FINE_FIRST, given)
         ix, iy = snapshot.lattice.cell_of(x, y)
         column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
         reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
@@ -255,6 +259,10 @@ class Answers:
         if 0 <= column < snapshot.width and 0 <= row < snapshot.height:
             here = slice(row, row + 1), slice(column, column + 1)
             probability, known = snapshot.published(*here)
+            counts = snapshot.counted(*here)
+            if counts is not None:
+                passing = counts.pop("passing").item() * snapshot.resolution
+                reply["counts"] = {"passing_m": passing, **{name: of.item() for name, of in counts.items()}}
             if known.item():
                 log_odds = snapshot.log_odds(*here).item()
                 reply |= {"known": True, "log_odds": log_odds, "probability": probability.item()}

@@ -33,7 +33,7 @@ from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
 from ogm_services.mapper.serving.live_route import add_live_route
 from ogm_services.mapper.serving.login_routes import LOG_IN_PATHS, add_login_routes
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
-from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y
+from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, FINE_FIRST
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
 from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
@@ -184,7 +184,7 @@ def _add_map_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMa
 
 def _add_state_routes(app: FastAPI, shares: Shares, answers: Answers) -> None:
     maps = shares.maps
-    place = CELL_X, CELL_Y
+    place = CELL_X, CELL_Y, FINE_FIRST
     cell = Operation("get_cell", "queries", "One cell", model=CellState, parameters=place)
     add_get(app, "/cell", _handler(maps, answers.cell), cell)
     saved = Operation("list_snapshots", "map", "The maps that are saved", model=SnapshotList)

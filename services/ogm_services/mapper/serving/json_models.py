@@ -75,6 +75,17 @@ class Version(_Reply):
     version: str
 
 
+class CellCounts(_Reply):
+    """What a map of cell model rate has counted in a cell."""
+
+    passing_m: float
+    """Length of beam that passed, m."""
+    hits: float
+    """Hits, each shared by the cells around its point."""
+    no_returns: int
+    """Beams that met nothing."""
+
+
 class CellState(_Reply):
     """One cell of the map."""
 
@@ -92,6 +103,8 @@ class CellState(_Reply):
     """Of it being occupied; null if it is not known."""
     probability: float | None
     """Likewise."""
+    counts: CellCounts | None = None
+    """Of a map of cell model rate, within the map."""
 
 
 class MapOrigin(_Reply):

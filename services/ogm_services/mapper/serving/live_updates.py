@@ -17,8 +17,7 @@ from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.newest_scans import NewestScans
 from ogm_services.mapper.serving.live_view import Life, Seen, View
-from ogm_services.mapper.serving.map_tiles import MapTiles
-from ogm_services.mapper.serving.map_updates import tiles_of
+from ogm_services.mapper.serving.map_tiles import MapTiles, tiled_view
 from ogm_services.replies.answer import Busy
 
 PROTOCOL: Final = 1
@@ -84,7 +83,7 @@ class LiveUpdates:
 
     def hello(self) -> tuple[bytes, Life]:
         """The first message, and which map it is of."""
-        snapshot = self._map.snapshot()
+        snapshot = self._map.snapshot().finest()
         meta = snapshot.meta()
         told = {name: meta[name] for name in ("epoch", "run", "revision", "resolution", "anchor")}
         extent = None if snapshot.empty else list(snapshot.lattice.region_of(snapshot.rect))
@@ -97,7 +96,7 @@ class LiveUpdates:
 
         Of another life of the map first that it has begun, and nothing else: the client forgets all.
         """
-        snapshot, moves = self._snapshot(), self._receipts.moves
+        snapshot, moves = self._snapshot().finest(), self._receipts.moves
         now = Identity.of(snapshot)
         if now.life != seen.life:
             return Update(self._message(now._replace(revision=0), view), Seen(now.life), None)
@@ -195,7 +194,7 @@ def _due(snapshot: MapSnapshot, view: View, seen: Seen) -> list[tuple[Square, in
 
     The longest unseen come first, then the inmost.
     """
-    revisions = revisions_of(tiles_of(snapshot), snapshot.model, view.first, view.last)
+    revisions = revisions_of(tiled_view(snapshot).tiles, snapshot.model, view.first, view.last)
     x0, y0, x1, y1 = view.tiles
     due = []
     for i, j in np.argwhere(revisions > seen.revision).tolist():

@@ -58,6 +58,14 @@ MAX_SIZE: Final = NumberParameter(
 MAP_VALUES: Final = ChoiceParameter(
     "values", "percent (0 to 100, -1 unknown) or trinary (0, 100, -1)", tuple(VALUES)
 )
+FINE, COARSE = "fine", "coarse"
+FINE_FIRST: Final = ChoiceParameter(
+    "resolution",
+    "of a map of cell model rate: fine (cells of half the size that beams are counted in) or coarse (these)",
+    (FINE, COARSE),
+)
+COARSE_FIRST: Final = replace(FINE_FIRST, words=(COARSE, FINE))
+"""For robots and displays of ROS, who were told the map's resolution."""
 AT: Final = TextParameter(
     SAVED_AS,
     "the map as it was saved under this name (POST /save), in place of the live one",
@@ -93,6 +101,15 @@ def area_of(given: Parameters, lattice: Lattice) -> Polygon:
         return Polygon.of_region(region, lattice)
     assert numbers is not None
     return Polygon(list(zip(numbers[::2], numbers[1::2], strict=True)), lattice)
+
+
+def served(snapshot: MapSnapshot, parameter: ChoiceParameter, given: Parameters) -> MapSnapshot:
+    """The map in the cells that are asked for, of those that its model has.
+
+    Raises:
+        BadParameter: `resolution` is neither fine nor coarse.
+    """
+    return snapshot.finest() if parameter.read(given) == FINE else snapshot
 
 
 def shrunk(snapshot: MapSnapshot, given: Parameters) -> MapSnapshot:

@@ -6,12 +6,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from ogm_core.cells.value_bytes import COLOURS, legend
 from ogm_core.errors import BadParameter, cut
 from ogm_core.pictures.tile_png import EMPTY_TILE, tile_png, tile_stream
 from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiles.halved import tiled
 from ogm_core.tiles.pyramid import (
     LEAST_Z,
     MAKING_BYTES,
@@ -21,7 +22,7 @@ from ogm_core.tiles.pyramid import (
     TilePyramid,
     revision_of,
 )
-from ogm_core.tiles.view import TileView
+from ogm_core.tiles.view import TiledView
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
@@ -92,8 +93,8 @@ class MapTiles:
         Raises:
             Busy: there is no memory left to make it.
         """
-        snapshot = self._map.snapshot()
-        revision = revision_of(_view(snapshot).tiles, snapshot.model, square)
+        snapshot = self._map.snapshot().finest()
+        revision = revision_of(tiled_view(snapshot).tiles, snapshot.model, square)
         return self.tile_of(snapshot, square, palette, revision)
 
     def tile_of(self, snapshot: MapSnapshot, square: Square, palette: str, revision: int | None) -> MapTile:
@@ -109,13 +110,13 @@ class MapTiles:
         stream = self._kept(square, tile.tag)
         if stream is None:
             with self._in_flight.making(MAKING_BYTES):
-                stream = tile_stream(self._pyramid.pixels(_view(snapshot), snapshot.model, square))
+                stream = tile_stream(self._pyramid.pixels(tiled_view(snapshot), snapshot.model, square))
             self._keep(square, tile.tag, stream)
         return MapTile(tile_png(stream, palette), tile.of, revision, resolution)
 
     def description(self, map_name: str, base: str) -> Answer:
         """What a viewer has to know to show them, as TileJSON; `base` is the URL of all routes."""
-        snapshot = self._map.snapshot()
+        snapshot = self._map.snapshot().finest()
         meta = snapshot.meta()
         told = {name: meta[name] for name in ("epoch", "run", "revision", "resolution", "anchor")}
         region = None if snapshot.empty else list(snapshot.lattice.region_of(snapshot.rect))
@@ -224,5 +225,8 @@ def palette_of(given: Parameters) -> str:
     return PALETTE.read(given)
 
 
-def _view(snapshot: MapSnapshot) -> TileView:
-    return cast(TileView, snapshot.stored)
+def tiled_view(snapshot: MapSnapshot) -> TiledView:
+    """The cells of a live map's snapshot, and the tiles that they lie in."""
+    view = tiled(snapshot.stored)
+    assert view is not None
+    return view

@@ -62,7 +62,7 @@ class Queries:
             Busy: it looks at much of a large map, and there is no memory or no thread left for it.
         """
         self._check_ready()
-        fan, whole = Fan.read(given), self._map.snapshot()
+        fan, whole = Fan.read(given), self._map.snapshot().finest()
         part = FanCells.of(fan, whole)
         cells = part.snapshot.rect.cells
         with self._large.making(cells), self._in_flight.making(_bytes_of_states(part.snapshot)):
@@ -78,7 +78,7 @@ class Queries:
         """
         refuse_parameters(given, "check")
         self._check_ready()
-        whole = self._map.snapshot()
+        whole = self._map.snapshot().finest()
         asked = read_check(body, whole.lattice)
         window = asked.rect.intersection(whole.rect)
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
@@ -108,16 +108,16 @@ class Queries:
         layer, region, saved_as = layer_of(name, form, given), region_of(given), AT.read(given)
         if saved_as is not None:  # it is not kept, as no answer of saved maps is
             with self._saved().opened(saved_as) as whole:
-                return self._made(layer, region, form, whole)
+                return self._made(layer, region, form, whole.finest())
         key = (f"{name}.{form}", tuple(sorted(given.items())))
         return self._cache.answer(
             *(key, self._map.now),
-            lambda: self._large.making(self._map.cells_in(_grown(region, layer.reach))),
+            lambda: self._large.making(self._map.cells_in(_grown(region, layer.reach), finest=True)),
             lambda: self._made_and_kept(layer, region, form, key),
         )
 
     def _made_and_kept(self, layer: Layer, region: Region | None, form: str, key: object) -> Answer:
-        whole = self._map.snapshot()
+        whole = self._map.snapshot().finest()
         answer = self._made(layer, region, form, whole)
         self._cache.keep(key, Identity.of(whole), answer)
         if self._memory is not None:

@@ -51,9 +51,11 @@ class SavedMaps:
 
         def to_make(rect: CellRect) -> int:
             shown = rect if region is None else rect.intersection(self._settings.lattice.cover(region))
-            return bytes_to_make(wanted, model, wanted.cells_looked_at(shown.cells, given))
+            # Halves have planes of their own, which take at most twice as much as those of their cells.
+            return bytes_to_make(wanted, model, model.finest * wanted.cells_looked_at(shown.cells, given))
 
-        with self.opened(name, to_make) as whole:
+        with self.opened(name, to_make) as saved:
+            whole = wanted.served(saved, given)
             pixels = shrunk(whole if region is None else whole.crop(region), given)
             body = wanted.encode(pixels, self._map_name, given)
         return Answer(body, wanted.media_type, pixels.meta())
