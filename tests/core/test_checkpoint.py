@@ -8,6 +8,7 @@ import pytest
 from counts_model import Counts, scans
 from ogm_core.cells.forgetting import MapTime
 from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -16,7 +17,7 @@ from ogm_core.tiles import store as store_module
 
 BOUNDS = Region(-5.0, -4.0, 12.3, 9.7)
 MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
+    "model", [LogOdds(), LogOdds("float64"), Counts(), Rate()], ids=["int16", "float64", "counts", "rate"]
 )
 WHERE = pytest.mark.parametrize("bounds", [None, BOUNDS], ids=["unbounded", "bounded"])
 

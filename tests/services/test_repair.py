@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from counts_model import Counts
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadInput, BadStore
 from ogm_core.lattice import Region
 from ogm_services.cli import app
@@ -75,7 +76,7 @@ def assert_saved(story, found, lost):
 
 
 @pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
+    "model", [LogOdds(), LogOdds("float64"), Counts(), Rate()], ids=["int16", "float64", "counts", "rate"]
 )
 @pytest.mark.parametrize("bounds", [None, Region(-5.0, -4.0, 12.3, 9.7)], ids=["unbounded", "bounded"])
 def test_damaged_tiles_become_unknown_and_are_told_in_metres(tmp_path, model, bounds):
