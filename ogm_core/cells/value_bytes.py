@@ -28,7 +28,7 @@ from ogm_core.cells.model import Known, Probability
 UNKNOWN_BYTE = 0
 FREE_LAST = 50
 OCCUPIED_FIRST = 167
-_LEVELS = 254.0
+LEVELS = 254.0
 
 Colours = NDArray[np.uint8]
 """Red, green and blue of every value byte, shape (256, 3)."""
@@ -49,7 +49,7 @@ Their lightness rises evenly, and who sees red and green alike sees them as othe
 
 def value_byte(p: Probability, known: Known) -> NDArray[np.uint8]:
     """1 + floor(254 p + 0.5), kept within the bytes of the cell's class; 0 where unknown."""
-    byte = np.floor(_LEVELS * p + 1.5)
+    byte = np.floor(LEVELS * p + 1.5)
     in_class = np.where(
         p > OCCUPIED_ABOVE,
         np.maximum(byte, OCCUPIED_FIRST),
@@ -101,7 +101,7 @@ def _costmap() -> Colours:
     return colours
 
 
-_P = np.clip((np.arange(256) - 1) / _LEVELS, 0.0, 1.0)
+_P = np.clip((np.arange(256) - 1) / LEVELS, 0.0, 1.0)
 _KNOWN = np.arange(256) != UNKNOWN_BYTE
 
 COLOURS: Mapping[str, Colours] = MappingProxyType(

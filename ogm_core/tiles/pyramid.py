@@ -16,7 +16,14 @@ from ogm_core.cells.model import CellModel, Planes
 from ogm_core.cells.value_bytes import value_byte
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import placed
-from ogm_core.tiles.overviews import OVERVIEW_BYTES, TOP, look_up, make_overviews, put_together
+from ogm_core.tiles.overviews import (
+    OVERVIEW_BYTES,
+    TOP,
+    look_up,
+    make_overviews,
+    put_together,
+    write_value_bytes,
+)
 from ogm_core.tiles.store import TILE
 from ogm_core.tiles.view import TiledCells, TiledView
 
@@ -165,8 +172,9 @@ class _Overviews:
         wanted = 1 + _with_margin(view.tiles, model.margin, window)
         made = self._made[window.columns, window.rows]
         stale = np.flatnonzero(wanted != made)
-        numbers = view.tiles.numbers[window.columns, window.rows].reshape(-1)[stale]
-        stale = stale[np.argsort(numbers)]  # as they lie in memory
+        if not model.margin:  # then as they lie in memory, else in runs up the columns
+            numbers = view.tiles.numbers[window.columns, window.rows].reshape(-1)[stale]
+            stale = stale[np.argsort(numbers)]
         tx, ty = np.divmod(stale, made.shape[1])
         for first in range(0, len(stale), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
@@ -197,7 +205,10 @@ def _value_bytes(model: CellModel, planes: Planes) -> NDArray[np.uint8]:
     """The value bytes of cells; of 16 bits by a table, half as long as `encoded` takes."""
     table = model.table_of(value_byte)
     if table is None:
-        return model.encoded(planes, value_byte)
+        p, known = model.published(planes)
+        found = np.empty(p.shape, np.uint8)
+        write_value_bytes(p.reshape(-1), known.reshape(-1), found.reshape(-1))
+        return found
     (cells,) = planes.values()
     found = np.empty(cells.shape, np.uint8)
     look_up(table, cells.view(np.uint16).reshape(-1), found.reshape(-1))
@@ -224,8 +235,11 @@ def _side_by_side(
     if not model.margin:
         return _value_bytes(model, view.side_by_side(view.tiles.numbers[tx, ty]))
     frame, parts = view.tiles.rect, []
-    for x, y in zip((frame.ix + TILE * tx).tolist(), (frame.iy + TILE * ty).tolist(), strict=True):
-        parts.append(_bytes_in(view, model, CellRect(x, y, TILE, TILE)))
+    begins = np.flatnonzero((np.diff(tx, prepend=tx[:1] - 1) != 0) | (np.diff(ty, prepend=ty[:1] - 2) != 1))
+    for first, end in zip(begins.tolist(), [*begins[1:].tolist(), len(tx)], strict=True):
+        place = frame.ix + TILE * int(tx[first]), frame.iy + TILE * int(ty[first])
+        run = _bytes_in(view, model, CellRect(*place, TILE, TILE * (end - first)))
+        parts += list(run.reshape(-1, TILE, TILE))
     return np.concatenate(parts, axis=1)
 
 
