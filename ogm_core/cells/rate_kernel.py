@@ -49,13 +49,9 @@ def publish(
 def _below_one(x: float) -> float:
     """1 - exp(-x), x >= 0, right to 1e-13: a series for x / 64, squared six times."""
     y = -(x if x < _CERTAIN else _CERTAIN) / 64.0
-    e = 1.0 + y / 7.0
-    e = 1.0 + y / 6.0 * e
-    e = 1.0 + y / 5.0 * e
-    e = 1.0 + y / 4.0 * e
-    e = 1.0 + y / 3.0 * e
-    e = 1.0 + y / 2.0 * e
-    e = 1.0 + y * e
+    e = 1.0 / 5040.0
+    for factor in (1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0):
+        e = factor + y * e
     for _ in range(6):
         e *= e
     return 1.0 - e
@@ -76,21 +72,27 @@ def _smoothed(hits: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sum_around(
-    cells: NDArray[np.float64], y: int, radius: int, line: NDArray[np.float64], sums: NDArray[np.float64]
+def _sum_near(
+    cells: NDArray[np.float64], y: int, edge: int, line: NDArray[np.float64], near: NDArray[np.float64]
 ) -> None:
-    """Sums of squares of cells around those of row `y`, which may be longer by as much at both ends."""
-    line[:] = cells[y - radius]
-    for v in range(y - radius + 1, y + radius + 1):
-        row = cells[v]
-        for x in range(line.size):
-            line[x] += row[x]
-    first = (line.size - sums.size) // 2 - radius
-    sums[:] = line[first : first + sums.size]
-    for u in range(first + 1, first + 2 * radius + 1):
-        shifted = line[u : u + sums.size]
-        for x in range(sums.size):
-            sums[x] += shifted[x]
+    """Sums of the 3 x 3 cells around those of row `y`, which has `edge` more at both ends."""
+    south, middle, north = cells[y - 1], cells[y], cells[y + 1]
+    for x in range(line.size):
+        line[x] = south[x] + middle[x] + north[x]
+    a, b, c = line[edge - 1 :], line[edge:], line[edge + 1 :]
+    for x in range(near.size):
+        near[x] = a[x] + b[x] + c[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum_far(cells: NDArray[np.float64], y: int, line: NDArray[np.float64], far: NDArray[np.float64]) -> None:
+    """Sums of the 5 x 5 cells around those of row `y`, which has 2 more at both ends; after `_sum_near`."""
+    south, north = cells[y - 2], cells[y + 2]
+    for x in range(line.size):
+        line[x] += south[x] + north[x]
+    a, b, c, d, e = line, line[1:], line[2:], line[3:], line[4:]
+    for x in range(far.size):
+        far[x] = a[x] + b[x] + c[x] + d[x] + e[x]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -151,11 +153,10 @@ def _publish(
     line, around, far = np.empty(columns + 2 * margin), np.empty((2, columns)), np.zeros((2, columns))
     for j in range(rows):
         y = j + margin
-        _sum_around(n, y, 1, line, around[0])
-        _sum_around(h, y, 1, line, around[1])
-        if rule.smooth:
-            _sum_around(n, y, 2, line, far[0])
-            _sum_around(h, y, 2, line, far[1])
+        for cells, near, farther in ((n, around[0], far[0]), (h, around[1], far[1])):
+            _sum_near(cells, y, margin, line, near)
+            if rule.smooth:
+                _sum_far(cells, y, line, farther)
         _probabilities(
             around, far, n[y, margin : margin + columns], h[y, margin : margin + columns], hit, rule, p[j]
         )
