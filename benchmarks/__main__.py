@@ -36,6 +36,7 @@ BENCHMARKS = (
     "hostile_http",
     "build_speed",
     "memory",
+    "map_quality",
     "stored",
     "ros2",
     "start_up",
