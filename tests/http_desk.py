@@ -22,13 +22,15 @@ BIG = 32 << 20
 class Desk:
     """A running server: where it is, and which requests its application has seen, as (method, path, body).
 
-    `closed` holds for what it has closed connections.
+    `closed` holds for what it has closed connections, and `sent` how long the messages were of which a
+    WebSocket's application believes that they are gone.
     """
 
     address: tuple[str, int]
     http: HttpThread
     seen: list[tuple[str, str, bytes]] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
+    sent: list[int] = field(default_factory=list)
 
     def connections(self):
         """How many are open."""
@@ -83,7 +85,9 @@ def http_desk(**limits):
             while (message := await websocket.receive())["type"] == "websocket.receive":
                 said = message["text"] if "text" in message else message["bytes"]
                 desk.seen.append(("WebSocket", websocket.url.path, said))
-                await websocket.send_bytes(much if said == b"" else said or b"a text")
+                reply = much if said == b"" else said or b"a text"
+                await websocket.send_bytes(reply)
+                desk.sent.append(len(reply))
 
         async def app(scope, receive, send):
             if scope["type"] == "websocket":

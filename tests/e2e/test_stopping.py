@@ -5,10 +5,13 @@ import random
 import re
 import signal
 import time
+from contextlib import ExitStack
 
+import msgpack
 import numpy as np
 import pytest
 import zenoh
+from websockets.sync.client import connect
 
 from ogm_client import RobotPublisher
 from ogm_client.session import NetworkConfig, open_session
@@ -139,3 +142,18 @@ def test_a_last_map_that_cannot_be_stored_is_told(ogm, eventually, tmp_path, fai
     assert {path.name for path in (tmp_path / "out").iterdir()} >= MAP
     # What a failed sync has left of a later revision may be there all the same: nobody can tell.
     assert 5 <= stored(tmp_path / "data")[0][1] <= 13
+
+
+def test_who_watches_live_is_told_and_holds_nothing_up(ogm):
+    command = ogm.mapper()
+    url = ogm.ready(command).url.replace("http", "ws", 1) + "ws"
+    with ExitStack() as stack:
+        clients = [stack.enter_context(connect(url, compression=None)) for _ in range(3)]
+        clients[0].recv(WITHIN)
+        clients[0].send(msgpack.packb({"type": "view", "z": 16, "tiles": [0, 0, 3, 3]}))
+        clients[0].recv(WITHIN)
+        ended = command.stop(signal.SIGTERM, within=WITHIN)
+        assert (ended.code, ended.warnings) == (0, "")
+        for client in clients:
+            assert len(list(client)) < 10  # what it was told before
+            assert client.close_code == 1001

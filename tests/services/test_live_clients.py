@@ -137,6 +137,17 @@ def test_changes_come_as_they_are_made(mapper):
             check(mapper, client)
 
 
+def test_a_change_is_told_without_waiting_for_a_heartbeat(mapper, monkeypatch):
+    monkeypatch.setattr("ogm_services.mapper.serving.live_client.HEARTBEAT", 3600.0)
+    with client_of(mapper) as client:
+        client.view(rate=20)
+        for n in range(3):
+            mapper.scan([1.0], pose=[0.0, 0.0, 0.0], at=n)
+            client.until(lambda message, n=n: message["revision"] == 1 + n)
+        client.view(AROUND, z=15)
+        assert len(client.next()["tiles"]) > 0
+
+
 def test_a_pose_alone_is_told_and_costs_no_tile(mapper):
     mapper.draw_cross()
     with client_of(mapper) as client:

@@ -1,6 +1,7 @@
 """WebSocket connections from the socket up: what becomes one, what the application sees of it, its end."""
 
 import os
+import socket
 import struct
 from contextlib import contextmanager, suppress
 
@@ -78,6 +79,12 @@ class TestHandshake:
         with opened(desk, before=get(b"/one")) as (sock, file):
             sock.sendall(frame(BINARY, b"hello"))
             assert frame_from(file) == (BINARY, b"hello")
+
+    def test_behind_one_that_is_not_answered_yet_it_is_an_ordinary_request(self, desk):
+        with desk.call() as sock, sock.makefile("rb") as file:
+            sock.sendall(get(b"/one") + get(b"/ws", *HANDSHAKE))
+            assert [answer_from(file).status, answer_from(file).status] == [200, 200]
+        assert [path for _, path, _ in desk.seen] == ["/one", "/ws"]
 
     def test_below_another_path_and_with_a_query(self, desk):
         with opened(desk, path=b"/maps/hall/ws?a=1") as (sock, file):
@@ -225,6 +232,23 @@ class TestSlowClients:
             eventually(lambda: desk.seen)
             eventually(lambda: desk.connections() == 0)
         assert set(desk.closed) == {"stalled"}
+
+    def test_without_the_kernels_help_too(self, eventually, monkeypatch):
+        monkeypatch.delattr(socket, "TCP_USER_TIMEOUT")  # other systems than Linux have none
+        with http_desk(stall_time=1.0, request_time=NEVER) as desk, opened(desk) as (sock, _):
+            sock.sendall(frame(BINARY))
+            eventually(lambda: desk.seen)
+            eventually(lambda: desk.connections() == 0)
+            assert desk.closed == ["stalled"]
+            assert desk.sent == []
+
+    def test_a_message_counts_as_sent_when_it_has_gone(self, eventually):
+        with http_desk(stall_time=NEVER) as desk, opened(desk) as (sock, file):
+            sock.sendall(frame(BINARY))
+            assert len(file.read(2 + 8 + BIG // 2)) == 10 + BIG // 2
+            assert desk.sent == []
+            assert len(file.read(BIG // 2)) == BIG // 2
+            eventually(lambda: desk.sent == [BIG])
 
     def test_who_reads_slowly_gets_everything(self):
         with http_desk(stall_time=30.0) as desk, opened(desk) as (sock, file):
