@@ -199,6 +199,28 @@ def test_a_banner_says_that_a_mapper_is_gone_or_hangs_and_goes_by_itself(mapper,
     )
 
 
+def test_parts_that_are_missing_are_named_and_grey_and_a_disk_that_fails_is_told(lab, look, eventually):
+    watched = look(lab)
+    told = {
+        **lab.get("status").json(),
+        "missing": [{"share": "3", "bounds": [-4.0, -4.0, 0.0, 4.0], "since": None}],
+        "store": {"revision": 7, "failing": "no space left", "bytes": 10},
+    }
+    watched.page.route("**/status", lambda route: route.fulfill(json=told))
+    watched.open()
+    page = watched.page
+    banner = page.get_by_role("alert")
+    eventually(banner.is_visible)
+    assert banner.text_content() == "The map is not stored at present: no space left"
+    assert page.locator("#parts").inner_text() == "share 3\tno answer"
+    page.get_by_label("last scans", exact=True).uncheck()
+    watched.settle()
+    assert watched.colour(0.95, -3.05) == "#fefefe"
+    assert watched.colour(-1.05, -3.05) not in ("#fefefe", "transparent")
+    page.get_by_text("Figures", exact=False).first.click()
+    assert "stored\trevision 7" in page.locator("#facts").inner_text().splitlines()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_what_is_written_is_easy_to_read(lab, look, scheme):
     watched = look(lab, color_scheme=scheme)
