@@ -4,7 +4,9 @@ import logging
 import re
 
 import httpx
+import msgpack
 import pytest
+from websockets.sync.client import connect
 
 from ogm_core.errors import BadSetting
 from ogm_services.mapper.serving.behind_proxies import check_root_path
@@ -58,6 +60,16 @@ def test_tiles_are_where_the_description_says(proxied):
     assert template == f"http://{netloc}{PREFIX}/tiles/{{z}}/{{x}}/{{y}}.png"
     tile = proxied.get(template.format(z=16, x=0, y=-1)).raise_for_status()
     assert tile.content.startswith(b"\x89PNG")
+
+
+def test_long_questions_and_websockets_come_through_too(proxied, under_a_path):
+    points = {"points": [[1.75, 0.25]] * 2000}
+    answer = proxied.post(f"{PREFIX}/check", json=points).raise_for_status()
+    assert answer.json()["states"] == ["free"] * 2000
+    netloc = under_a_path.http.base_url.netloc.decode()
+    for path in ("/ws", f"{PREFIX}/ws"):
+        with connect(f"ws://{netloc}{path}", proxy=None) as socket:
+            assert msgpack.unpackb(socket.recv(timeout=30.0))["type"] == "hello"
 
 
 def test_the_documentation_and_all_that_it_loads_is_there(proxied):

@@ -17,10 +17,10 @@ class HttpLimits:
     """What one client may cost.
 
     `head`: bytes of a request's target and headers; `body`: bytes of its body, unless the path, without a
-    query, is one of `bodies`, which have their own. `request_time`: s from the
-    begin of a connection, or its last answer, to the last byte of its next request. `stall_time`: s without
-    progress in sending an answer. `connections`: how many are open at once. `websockets`: what the paths of
-    WebSockets end with.
+    query, ends with one of `bodies`, which have their own: what is before that may be a proxy's.
+    `request_time`: s from the begin of a connection, or its last answer, to the last byte of its next
+    request. `stall_time`: s without progress in sending an answer. `connections`: how many are open at once.
+    `websockets`: what the paths of WebSockets end with.
     """
 
     head: int = 64 * 1024
@@ -33,4 +33,5 @@ class HttpLimits:
 
     def body_of(self, target: bytes) -> int:
         """Bytes that the body of a request may have."""
-        return self.bodies.get(target.partition(b"?")[0], self.body)
+        path = target.partition(b"?")[0]
+        return next((most for end, most in self.bodies.items() if path.endswith(end)), self.body)
