@@ -102,6 +102,8 @@ def test_what_is_packed_already_goes_as_it_is(large, path):
     other, content = raw(large, path, {"Accept-Encoding": "gzip, identity;q=0"})
     assert content == body
     assert other.headers["etag"] == plain.headers["etag"]
+    packed = f'{plain.headers["etag"][:-1]};gzip"'
+    assert raw(large, path, GZIP | {"If-None-Match": packed})[0].status_code == 200
     assert {"content-encoding", "vary"} & {*plain.headers, *other.headers} == set()
 
 

@@ -119,8 +119,7 @@ class Ready:
         plain = {**headers, **VARY} if self._text else headers
         self._tags = headers["ETag"], tag_of_gzip(headers["ETag"])
         self._whole = Response(body, media_type=media_type, headers=plain)
-        unchanged = Response(status_code=304, headers=plain)
-        self._unchanged = dict.fromkeys(self._tags, unchanged)
+        self._unchanged = {self._tags[False]: Response(status_code=304, headers=plain)}
         self._packed: Response | None = None
         if self._text:
             coded = {**plain, "ETag": self._tags[True]}
@@ -143,7 +142,7 @@ class Ready:
         """One of them, as the request wants it; it may be sent any number of times.
 
         None: it is to go by gzip, and was not made for that. If-Match is looked at first (RFC 9110, section
-        13.2.2). Validators name a map, in whichever coding: 304 says the one that the client has.
+        13.2.2), and names a map in whichever coding; 304 says the validator that the client has.
         """
         wanted, known, codings = _lines(scope)
         if wanted and not any(_matches(wanted, tag, weak=False) for tag in self._tags):
@@ -154,7 +153,7 @@ class Ready:
         by_gzip = self._text and bool(codings) and goes_by_gzip(accepted(b",".join(codings)), self._length)
         if known:
             for tag in (self._tags[by_gzip], self._tags[not by_gzip]):
-                if _matches(known, tag, weak=True):
+                if tag in self._unchanged and _matches(known, tag, weak=True):
                     return self._unchanged[tag]
         return self._packed if by_gzip else self._whole
 
