@@ -15,27 +15,21 @@ from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib import pyplot as plt
 
 from ogm_client import DEFAULT_ADDRESS, MapClient, MapGrid, OgmError
 
 INTERVAL = 0.2
 """How often the mapper is asked whether its map has changed, s."""
-COLOURS = mpl.colormaps["gray_r"].with_extremes(bad="lightsteelblue")
-"""White is free, black occupied, blue unknown."""
 
 
 def draw(grid: MapGrid) -> None:
     """Draw a map into the figure, in metres; origin, size and revision in the title."""
     axes = plt.gca()
     axes.clear()
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"{grid.width} x {grid.height} cells of {grid.resolution:g} m, revision {grid.revision}")
     if grid.log_odds.size:
-        (left, bottom), size = grid.origin, grid.resolution
-        extent = (left, left + grid.width * size, bottom, bottom + grid.height * size)
-        axes.imshow(grid.probability, origin="lower", extent=extent, cmap=COLOURS, vmin=0.0, vmax=1.0)
+        grid.plot(axes)
 
 
 def save(grids: Iterator[MapGrid], out: str) -> None:

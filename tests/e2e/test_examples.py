@@ -27,6 +27,8 @@ from ogm_services.settings.sources import without_settings
 from status_json import NO_POSES
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+UNKNOWN = (207, 224, 238)
+"""The colour of unknown cells in a plot."""
 SCANS = 100
 LAST = SCANS - 1
 TIMEOUT = 300
@@ -213,7 +215,7 @@ def drawn(path):
 
 def unknown(pixels):
     """Which pixels have the colour of unknown cells."""
-    return np.abs(pixels - (176, 196, 222)).max(axis=-1) < 3
+    return np.abs(pixels - UNKNOWN).max(axis=-1) < 3
 
 
 def assert_shows_the_room(path, grid):
