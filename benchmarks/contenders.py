@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.process import NoPeer, Peer, build
 from benchmarks.workloads import Workload
-from ogm_core.cells.log_odds import PLANE
 from ogm_core.errors import OutsideBounds
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -68,10 +67,9 @@ class Ours:
         old, self.grid = self.grid, OccupancyGrid(self.settings)
         if not self.new_memory:
             store = old._store
-            for strip, column in zip(
-                store.touched, store.planes[PLANE].tiles(store.touched.shape), strict=True
-            ):
-                column[strip != 0] = 0
+            for plane in store.planes.values():
+                for strip, column in zip(store.touched, plane.tiles(store.touched.shape), strict=True):
+                    column[strip != 0] = 0
             self.grid._store = store
 
     def _add(self, n: int) -> None:

@@ -15,6 +15,7 @@ from benchmarks.peers.process import Peer
 from benchmarks.peers.workload_file import write_workload
 from benchmarks.table import Result
 from benchmarks.workloads import BIG_SCANS, WORKLOADS, Workload, first_scans, settings_of
+from ogm_core.cells.rate import Rate
 
 SCRATCH = Path(__file__).parents[1] / "build" / "benchmarks"
 ROUNDS, QUICK_ROUNDS = 8, 2
@@ -25,6 +26,7 @@ LIMIT_SCANS = 50
 
 BRESENHAM, BRESENHAM_64 = "beam, bresenham, int16", "beam, bresenham, float64"
 DDA, SECTOR = "beam, dda, int16", "sector, int16"
+RATE = "beam, counted (cell model rate)"
 PEERS = {
     "textbook": "textbook in C++",
     "textbook-sized": "textbook in C++, lists sized beforehand",
@@ -41,6 +43,8 @@ TARGETS = {
     (SECTOR, "textbook"): 10.0,
 }
 """How many times faster than a peer a variant is to be, on workload `big`."""
+RATE_AT_MOST = 1.2
+"""Times what log odds along Bresenham's lines cost, on workload `big`."""
 SECTOR_AT_MOST = 4.0
 """Times the least that sectors cost."""
 
@@ -78,6 +82,7 @@ def variants(work: Workload) -> list[Ours]:
         Ours(BRESENHAM, work, settings_of(work)),
         Ours(f"{BRESENHAM}, new memory", work, settings_of(work), new_memory=True),
         Ours(BRESENHAM_64, work, settings_of(work, cells="float64")),
+        Ours(RATE, work, settings_of(work, cell_model=Rate())),
         Ours(DDA, work, settings_of(work, traversal="dda")),
         Ours(SECTOR, work, settings_of(work, sensor_model="sector")),
         Ours(f"{SECTOR}, new memory", work, settings_of(work, sensor_model="sector"), new_memory=True),
@@ -100,6 +105,10 @@ def ratios(work: Workload, times: dict[str, float]) -> list[Result]:
         for peer in FAST_PEERS
         if name not in PEERS and name != Limit.name and peer in times
     ]
+    if work.name == "big" and RATE in times:
+        ratio = times[RATE] / times[BRESENHAM]
+        group = f"integration of {work.name}: times the CPU time of {BRESENHAM}"
+        found.append(Result(group, RATE, ratio, "x", RATE_AT_MOST, at_least=False))
     if Limit.name in times:
         group = f"integration of {work.name}: times the least CPU time"
         ratio = times[SECTOR] / times[Limit.name]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.log_odds import CellType, LogOdds
+from ogm_core.cells.model import CellModel
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings, Outside, SensorModel, Traversal
 from ogm_core.lattice import Region
@@ -141,13 +142,14 @@ def settings_of(
     work: Workload,
     *,
     cells: CellType = "int16",
+    cell_model: CellModel | None = None,
     sensor_model: SensorModel = "beam",
     traversal: Traversal = "bresenham",
 ) -> GridSettings:
     """The settings of a map that takes the workload's scans."""
     return GridSettings(
         resolution=work.resolution,
-        cell_model=LogOdds(cells),
+        cell_model=cell_model or LogOdds(cells),
         sensor_model=sensor_model,
         traversal=traversal,
         alpha=work.alpha,

@@ -329,7 +329,8 @@ def test_openapi_documents_every_route_and_its_parameters(cross):
             in_header = parameter["name"] in VALIDATORS
             assert parameter["in"] == ("path" if in_path else "header" if in_header else "query")
             assert parameter["description"]
-            assert parameter["required"] == (in_path or path == "/cell")
+            of_cell = path == "/cell" and parameter["name"] != "resolution"
+            assert parameter["required"] == (in_path or of_cell)
 
 
 def test_openapi_documents_what_a_route_may_answer(cross):
