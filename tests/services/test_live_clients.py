@@ -13,6 +13,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from ogm_services.replies.answer import Busy
+
 AROUND = [-1, -1, 0, 0]
 """The four tiles around the anchor."""
 SETTLED = 30.0
@@ -324,6 +326,16 @@ class TestWhoIsLetIn:
                     assert client.hello["map"] == "hall"
             with pytest.raises(InvalidStatus), client_of(mapper, path="/maps/ws"):
                 pass
+
+    def test_who_finds_no_turn_is_told_to_come_later(self, mapper, monkeypatch, no_errors):
+        def busy(_):
+            raise Busy("live: no turn came within 5 s: try again later")
+
+        monkeypatch.setattr("ogm_services.mapper.serving.live_updates.LiveUpdates.hello", busy)
+        with pytest.raises(ConnectionClosed) as end, client_of(mapper):
+            pass
+        assert (end.value.rcvd.code, end.value.rcvd.reason[:5]) == (1013, "live:")
+        assert ended(mapper, "full") == 1
 
     def test_how_many_is_a_setting(self, start_mapper):
         with start_mapper(http={"max_live": 1}) as mapper, client_of(mapper):

@@ -250,6 +250,17 @@ class TestSlowClients:
             assert len(file.read(BIG // 2)) == BIG // 2
             eventually(lambda: desk.sent == [BIG])
 
+    def test_who_answers_no_ping_is_gone(self, eventually, monkeypatch):
+        monkeypatch.setattr("ogm_services.mapper.serving.http_server.PING_PERIOD", 1.0)
+        with http_desk(request_time=NEVER) as desk, opened(desk) as (sock, file), opened(desk) as (_, silent):
+            for _ in range(2):
+                opcode, payload = frame_from(file)
+                assert opcode == PING
+                sock.sendall(frame(PONG, payload))
+            assert frame_from(silent)[0] == PING
+            assert frame_from(silent) == (CLOSE, closing(1011, b"keepalive ping timeout"))
+            eventually(lambda: desk.connections() <= 1)
+
     def test_who_reads_slowly_gets_everything(self):
         with http_desk(stall_time=30.0) as desk, opened(desk) as (sock, file):
             sock.sendall(frame(BINARY))

@@ -19,7 +19,7 @@ from ogm_services.mapper.serving.live_client import LiveClient
 from ogm_services.mapper.serving.live_updates import LiveUpdates
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.same_origin import foreign_origin
-from ogm_services.replies.answer import Busy, CrossOrigin
+from ogm_services.replies.answer import Busy, CrossOrigin, Unavailable
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.turns import Turns
 from ogm_services.runtime.limited_log import LimitedLog
@@ -116,6 +116,9 @@ class LiveClients:
             self._complaints.of_kind("/ws", _MALFORMED, f"a client is cut off: {error}")
             await _close(websocket, 1008, str(error))
             return _MALFORMED
+        except (Busy, Unavailable) as error:  # there is no turn for its first message
+            await _close(websocket, 1013, str(error))
+            return _FULL
         except Exception:  # noqa: BLE001 - it is logged, with its traceback
             self._complaints.failure("serving a WebSocket client")
             await _close(websocket, 1011, "the mapper failed; see its log")
