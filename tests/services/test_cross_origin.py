@@ -1,6 +1,8 @@
 """Pages of other origins: those that are named may read and, with the token, write; of all others nothing."""
 
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 TOKEN = "correct-horse-battery-staple"
 NAMED, OTHER = "https://dash.example", "https://evil.example"
@@ -155,3 +157,16 @@ def test_a_check_is_a_read(sharing, open_to_all):
 def test_a_host_that_is_not_the_mappers_is_not_shared_with_anybody(sharing):
     refused = sharing.http.get("/map.json", headers=by_page(NAMED) | {"Host": "evil.example"})
     assert (refused.status_code, shared(refused)) == (421, {})
+
+
+def test_the_same_pages_may_watch_by_websocket(sharing, open_to_all):
+    for mapper, origin in ((sharing, NAMED), (sharing, None), (open_to_all, OTHER)):
+        with connect(live(mapper), origin=origin, proxy=None) as socket:
+            assert socket.recv(timeout=30.0)
+    with pytest.raises(InvalidStatus) as refused:
+        connect(live(sharing), origin=OTHER, proxy=None)
+    assert refused.value.response.status_code == 403
+
+
+def live(mapper):
+    return f"ws://{mapper.http.base_url.netloc.decode()}/ws"

@@ -45,7 +45,8 @@ class SameOrigin:
             if foreign is not None and not self._may(scope["path"], headers):
                 error = CrossOrigin(
                     f"{scope['method']} {cut(scope['path'])}: refused: a page of another origin asks for it "
-                    f"({foreign}): use the mapper's own page, or a program that is no browser"
+                    f"({foreign}): use the mapper's own page, or a program that is no browser; "
+                    "http.cors_origins names pages that may, with the token"
                 )
                 await refusal(error)(scope, receive, send)
                 return
