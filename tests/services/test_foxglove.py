@@ -14,10 +14,10 @@ from ogm_client.session import NetworkConfig, open_session
 from ogm_core.errors import OgmError
 from ogm_core.ros2.typestore import typestore
 from ogm_core.status import RobotStatus
-from ogm_core.types import Pose, PoseStamped
+from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_core.wire.keys import Source
-from ogm_core.wire.messages import encode_pose
-from ogm_services.foxglove import map_channel
+from ogm_core.wire.messages import encode_pose, encode_scan
+from ogm_services.foxglove import heard_robots, map_channel, robot_channels
 from ogm_services.foxglove.bridge import FoxgloveBridge
 from ogm_services.foxglove.heard_robots import Heard, HeardRobots
 from ogm_services.foxglove.robot_channels import RobotChannels
@@ -375,6 +375,43 @@ def test_a_mapper_that_is_started_anew_is_shown_and_meanwhile_viewers_are_told(s
                         viewer.next("/map", lambda payload: occupancy(payload)[0].shape != first.shape)
                     )[0]
                     np.testing.assert_array_equal(second, shown_map(after)[0])
+
+
+def test_what_waits_to_be_shown_is_bounded(monkeypatch):
+    monkeypatch.setattr(heard_robots, "MAX_BYTES", 10)
+    heard = Heard()
+    for k in range(100):
+        heard.add(Source("r", None), bytes([k]))
+    assert [payload[0] for payload in heard.poses["r"]] == list(range(36, 100))
+    heard.add(Source("r", "a"), b"123456")
+    heard.add(Source("r", "b"), b"12345")  # one byte too many
+    heard.add(Source("r", "a"), b"1234567890")  # in place of the other
+    heard.add(Source("r", "a"), b"12345678901")
+    assert heard.scans == {Source("r", "a"): b"1234567890"}
+
+
+def test_one_robot_and_one_sensor_too_many_are_said_and_not_shown(monkeypatch, caplog):
+    monkeypatch.setattr(robot_channels, "MAX_ROBOTS", 1)
+    monkeypatch.setattr(robot_channels, "MAX_SENSORS", 1)
+    server = FoxgloveServer("test", "127.0.0.1", 0)
+    try:
+        robots, heard = RobotChannels(server.context), Heard()
+        for name in ("r1", "r2"):
+            heard.add(*pose_message(name, 1.0))
+        scan = Scan(1, 0.0, 0.1, 0.0, 8.0, np.ones(3, np.float32))
+        for sensor in ("front", "back"):
+            heard.add(Source("r1", sensor), encode_scan(scan))
+        robots.step(heard, {"r3": RobotStatus(Pose(0.0, 0.0, 0.0), 1, alive=True)}, 0.0)
+        with viewing(server.url) as viewer:
+            viewer.channel("/robots/r1/scan/front")
+            assert set(viewer.channels) == {"/tf", "/robots", "/robots/r1/scan/front"}
+    finally:
+        server.close()
+    said = [record.getMessage() for record in caplog.records if "not shown" in record.getMessage()]
+    assert said == [
+        "/robots: r2 is not shown: 1 robots are, at most",
+        "r1/back: not shown: a robot has 1 sensors at most",
+    ]
 
 
 def test_a_port_that_is_taken_is_refused_in_a_line():
