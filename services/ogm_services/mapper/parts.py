@@ -37,6 +37,7 @@ from ogm_services.mapper.live.timed_sink import TimedSink
 from ogm_services.mapper.live.watch import Watch
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
+from ogm_services.mapper.serving.live_updates import LiveUpdates
 from ogm_services.mapper.serving.load_metrics import (
     memory_metrics,
     queue_metrics,
@@ -195,6 +196,10 @@ class Parts:
             else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
         )
         """The threads of the shares ask."""
+        self.live_updates = LiveUpdates(
+            *(map_name, self.live_map, self.answers.map_tiles, self.receipts, self.newest_scans)
+        )
+        """One thread, the service's, asks; which moment it is, any."""
         self.writes = Writes(self.answers, self.live_map, self.grid_settings, self.worker, kept, in_flight)
         """The threads of the shares ask."""
         memory.add("answers", lambda: in_flight.held, in_flight.limit)

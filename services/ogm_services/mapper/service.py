@@ -32,7 +32,6 @@ from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.live_clients import LiveClients
 from ogm_services.mapper.serving.live_route import LIVE_PATH
-from ogm_services.mapper.serving.live_updates import LiveUpdates
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.query_routes import BODIES
 from ogm_services.mapper.serving.shares import Shares
@@ -291,12 +290,8 @@ class MapperService:
 
     def _http(self, listener: socket.socket) -> HttpThread:
         parts, measured = self.parts, self.parts.metrics.measurements
-        updates = LiveUpdates(
-            *(self._settings.network.map_name, self.live_map, self.answers.map_tiles),
-            *(parts.receipts, parts.newest_scans),
-        )
         live = LiveClients(
-            *(updates, self._live_turns, parts.in_flight, self.answers.check_ready),
+            *(parts.live_updates, self._live_turns, parts.in_flight, self.answers.check_ready),
             most=self._settings.http.max_live,
             origins=self._access.origins,
             counted=measured.live_clients,
