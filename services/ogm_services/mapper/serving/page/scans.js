@@ -1,5 +1,6 @@
 // The last scan of each sensor: the area that its beams passed, and where they ended.
 import {inkOf} from "./overlay.js";
+import {present} from "./robots.js";
 import {state} from "./state.js";
 
 // Ends of the beams on the canvas; those that met nothing end at the range's limit.
@@ -14,10 +15,11 @@ function endsOf({pose: [x, y, theta], angle_min, angle_increment, range_max, ran
 export const scansLayer = {
   name: "scans",
   draw(pen, view) {
-    const {globalAlpha} = pen;
+    const {globalAlpha} = pen, there = new Set(present());
     for (const [source, scan] of Object.entries(state.scans)) {
-      if (!scan.pose || !scan.ranges.length) continue;
-      const ends = endsOf(scan, view), colour = inkOf(source.split("/")[0]);
+      const [robot] = source.split("/");
+      if (!scan.pose || !scan.ranges.length || !there.has(robot)) continue;
+      const ends = endsOf(scan, view), colour = inkOf(robot);
       pen.fillStyle = colour;
       pen.beginPath();
       pen.moveTo(...view.toCanvas(scan.pose[0], scan.pose[1]));
