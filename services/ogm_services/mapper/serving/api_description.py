@@ -67,7 +67,7 @@ _PROBLEM_HEADERS: Mapping[int, Headers] = {
 
 _EPOCH = Header("Id of the map's life: another one since it was made or emptied")
 MAP_HEADERS: Headers = {
-    "ETag": Header('"EPOCH-RUN-REVISION", the validator for If-None-Match and If-Match'),
+    "ETag": Header('"EPOCH-RUN-REVISION", of a body that is packed "EPOCH-RUN-REVISION;gzip": a validator'),
     "OGM-Resolution": Header("Metres per pixel"),
     "OGM-Origin": Header("x,y of the lower-left corner, metres"),
     "OGM-Epoch": _EPOCH,
