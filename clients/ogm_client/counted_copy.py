@@ -1,66 +1,67 @@
-"""Counted copy: the occupancy grid map that a copy of counts stands for, as its mapper serves it."""
+"""Tiles of a map that counts, as its mapper keeps them: what is served of them, by NumPy."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_client.errors import BadReply
-from ogm_client.map_grid import MapGrid
-from ogm_core.cells.arrays import CellArrays
-from ogm_core.cells.model import Plane
-from ogm_core.cells.rate import Rate
+from ogm_core.cells.halves import halved
+from ogm_core.cells.model import Planes
+from ogm_core.cells.rate import PLANES, Rate, RateHalves, log_odds_of
 from ogm_core.lattice import CellRect
-from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.store import TILE
-from ogm_core.wire.map_update import MapUpdate
 
-NAME = Rate().described["name"]
-Tiles = Mapping[tuple[int, int], Mapping[str, NDArray[Any]]]
-_BYTES_A_CELL = sum(plane.side**2 * plane.dtype.itemsize for plane in Rate.planes) + 4 * 2**2
-"""Of the counts, and of the log odds of four halves."""
+MODEL = "rate"
+"""What such a model calls itself on the wire."""
+PER_CELL = 2
+"""Served cells along a side of one that is counted in."""
+SPREAD = Rate.spread
+"""Cells around a tile whose probability depends on it."""
+
+Place = tuple[int, int]
+Tiles = Mapping[Place, Mapping[str, NDArray[Any]]]
 
 
-def counted_grid(newest: MapUpdate, tiles: Tiles, max_bytes: int) -> MapGrid:
-    """The map of these tiles, at the newest update, in the finest cells that counts tell of.
+def lay_out_counts(
+    tiles: Tiles, stale: Iterable[Place], extent: CellRect, log_odds: NDArray[np.float32]
+) -> None:
+    """Put the log odds of tiles and of the cells around them where they lie in a map of this extent.
 
-    Raises:
-        BadReply: they are no such counts, or take more than `max_bytes`.
+    As /map.npz has them: cells half as wide, NaN where unknown; what juts out is left out.
     """
-    if newest.planes != Rate.planes:
-        told = ", ".join(plane.name for plane in newest.planes)
-        raise BadReply(f"map.tiles: counts of {NAME} in other planes than known here: {told}")
-    extent = newest.extent
-    size = extent.cells * _BYTES_A_CELL
-    if size > max_bytes:
-        raise BadReply(f"map.tiles: its cells take {size} bytes, at most {max_bytes} are allowed")
-    planes = {plane.name: _laid_out(plane, tiles, extent) for plane in newest.planes}
-    stored = CellArrays(planes, {plane.name: plane.side for plane in newest.planes})
-    snapshot = MapSnapshot(
-        *(stored, Rate(), newest.lattice, (extent.ix, extent.iy)),
-        epoch=newest.epoch,
-        revision=newest.revision,
-        stamp=newest.stamp,
-        run=newest.run,
-    )
-    return MapGrid.from_snapshot(snapshot.finest())
+    for tx, ty in stale:
+        part = CellRect(tx * TILE, ty * TILE, TILE, TILE).widened(SPREAD).intersection(extent)
+        if not part.cells:
+            continue
+        planes = window(tiles, part.widened(SPREAD))
+        # Of the two cells more at every side, four halves, three are looked at.
+        rows, columns = (
+            slice(1, PER_CELL * (length + 2 * SPREAD) - 1) for length in (part.height, part.width)
+        )
+        y, x = PER_CELL * (part.iy - extent.iy), PER_CELL * (part.ix - extent.ix)
+        served = log_odds_of(*RateHalves().published(halved(planes, rows, columns)))
+        log_odds[y : y + served.shape[0], x : x + served.shape[1]] = served
 
 
-def _laid_out(plane: Plane, tiles: Tiles, extent: CellRect) -> NDArray[Any]:
-    """A plane of the extent's cells, [iy, ix]."""
-    n = plane.side
-    laid_out = np.zeros((extent.height * n, extent.width * n), plane.dtype)
-    for (tx, ty), cells in tiles.items():
-        rect = CellRect(tx * TILE, ty * TILE, TILE, TILE)
-        part = rect.intersection(extent)
-        if part.cells:
-            numbers = cells[plane.name].reshape(TILE * n, TILE * n)
-            laid_out[_window(part, extent, n)] = numbers[_window(part, rect, n)]
-    return laid_out
-
-
-def _window(part: CellRect, whole: CellRect, n: int) -> tuple[slice, slice]:
-    """Where a part lies in what it is part of, rows and columns of n numbers a cell."""
-    x, y = (part.ix - whole.ix) * n, (part.iy - whole.iy) * n
-    return slice(y, y + part.height * n), slice(x, x + part.width * n)
+def window(tiles: Tiles, rect: CellRect) -> Planes:
+    """The planes of a rectangle of cells; 0 where there is no tile."""
+    planes = {name: np.zeros((side * rect.height, side * rect.width), dtype) for name, dtype, side in PLANES}
+    first, last = (rect.ix // TILE, rect.iy // TILE), (rect.ix + rect.width - 1, rect.iy + rect.height - 1)
+    for tx in range(first[0], last[0] // TILE + 1):
+        for ty in range(first[1], last[1] // TILE + 1):
+            tile = tiles.get((tx, ty))
+            part = CellRect(tx * TILE, ty * TILE, TILE, TILE).intersection(rect)
+            if tile is None:
+                continue
+            for name, _, side in PLANES:
+                cells = tile[name].reshape(side * TILE, side * TILE)
+                here, there = (
+                    (
+                        slice(side * (part.iy - iy), side * (part.iy - iy + part.height)),
+                        slice(side * (part.ix - ix), side * (part.ix - ix + part.width)),
+                    )
+                    for ix, iy in ((rect.ix, rect.iy), (tx * TILE, ty * TILE))
+                )
+                planes[name][here] = cells[there]
+    return planes

@@ -19,7 +19,10 @@ class Change:
     run: str
     revision: int
     region: Region | None
-    """What holds every changed tile, m, rounded outward to whole tiles; None: no cell has changed."""
+    """What holds every changed tile, m, rounded outward to whole tiles; None: no cell has changed.
+
+    Of a map that counts, with two cells around them, whose probabilities depend on them.
+    """
     tiles: NDArray[np.int64]
     """Which tiles of 64 x 64 cells have changed, shape (n, 2): (tx, ty) begins at cell (64 tx, 64 ty)."""
     whole: bool
@@ -41,7 +44,7 @@ def change_since(copy: MapCopy, seen: Version | None) -> Change:
     other_life = seen is None or not seen.is_before(mine)
     changed = sorted(copy.changed_since(seen))
     rect = _rect_around(changed)
-    region = None if rect is None else newest.lattice.region_of(rect)
+    region = None if rect is None else newest.lattice.region_of(rect.widened(copy.spread))
     tiles = np.array(changed, np.int64).reshape(-1, 2)
     return Change(*mine, region, tiles, whole=other_life, reset=seen is not None and other_life)
 

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_client.counted_copy import NAME as COUNTED
-from ogm_client.counted_copy import counted_grid
+from ogm_client.counted_copy import MODEL, PER_CELL, SPREAD, lay_out_counts
 from ogm_client.errors import BadReply
 from ogm_client.map_grid import MapGrid
 from ogm_client.transport import Version
 from ogm_core.cells.log_odds import PLANE
+from ogm_core.cells.rate import PLANES
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE, tile_bytes
 from ogm_core.wire.map_update import MapUpdate
@@ -109,7 +109,7 @@ class MapCopy:
         return [place for place, revision in self._changed.items() if revision > seen.revision]
 
     def grid(self) -> MapGrid:
-        """The copy as an occupancy grid map of its own; of log odds only what has changed is made anew.
+        """The copy as an occupancy grid map of its own; only what has changed is made anew for it.
 
         Raises:
             BadReply: there is none, or its model is one that this client cannot read, or it is too large.
@@ -117,30 +117,41 @@ class MapCopy:
         newest = self.newest
         if newest is None:
             raise BadReply("map.tiles: no map has come yet")
-        if newest.model["name"] == COUNTED:
-            return counted_grid(newest, self._tiles, self._max_bytes)
         _check_model(newest)
-        exact, extent = newest.planes[0].dtype == np.float64, newest.extent
-        size = extent.cells * (8 if exact else 4)
+        exact, extent, per_cell = newest.planes[0].dtype == np.float64, newest.extent, self._per_cell
+        size = extent.cells * per_cell**2 * (8 if exact else 4)
         if size > self._max_bytes:
             raise BadReply(f"map.tiles: its cells take {size} bytes, at most {self._max_bytes} are allowed")
         if self._shown is None or self._shown_of != extent:
-            shape = extent.height, extent.width
+            shape = extent.height * per_cell, extent.width * per_cell
             self._shown, self._shown_of = np.full(shape, np.nan, np.float64 if exact else np.float32), extent
             self._stale = set(self._tiles)
-        for place in self._stale:
-            _lay_out(self._tiles[place][PLANE], place, newest, self._shown)
+        if per_cell == 1:
+            for place in self._stale:
+                _lay_out(self._tiles[place][PLANE], place, newest, self._shown)
+        else:
+            lay_out_counts(self._tiles, self._stale, extent, self._shown)
         self._stale.clear()
         return MapGrid(
             log_odds=self._shown.copy(),
-            resolution=newest.lattice.resolution,
+            resolution=newest.lattice.resolution / per_cell,
             anchor=newest.lattice.anchor,
-            offset=(extent.ix, extent.iy),
+            offset=(per_cell * extent.ix, per_cell * extent.iy),
             epoch=newest.epoch,
             revision=newest.revision,
             stamp=newest.stamp,
             run=newest.run,
         )
+
+    @property
+    def spread(self) -> int:
+        """How many cells around a changed tile may have changed with it."""
+        return 0 if self._per_cell == 1 else SPREAD
+
+    @property
+    def _per_cell(self) -> int:
+        """How many cells of `grid` lie along a side of one of the map's."""
+        return PER_CELL if self.newest is not None and self.newest.model["name"] == MODEL else 1
 
     def _check_size(self, parts: list[MapUpdate]) -> None:
         first = parts[0]
@@ -199,8 +210,13 @@ def _places(update: MapUpdate) -> list[Place]:
 
 
 def _check_model(update: MapUpdate) -> None:
-    """Refuse what this client cannot make log odds of."""
+    """Refuse what this client cannot make log odds of: it can of log odds, and of counts."""
     model, planes = update.model, update.planes
+    if model["name"] == MODEL:
+        if planes != PLANES:
+            told = ", ".join(plane.name for plane in planes)
+            raise BadReply(f"map.tiles: counts of {MODEL} in other planes than known here: {told}")
+        return
     if model["name"] != PLANE or len(planes) != 1 or planes[0].name != PLANE or planes[0].side != 1:
         raise BadReply(f"map.tiles: log odds and counts can be read, not cells of {model['name']!r}")
     if planes[0].dtype not in (np.int16, np.float64):

@@ -103,7 +103,7 @@ class _Counted(CellModel):
         """
         served = np.empty(source.shape, np.float32)
         for rows in row_bands(source.shape):
-            served[rows] = _as_log_odds(*self.published(source.planes(rows, margin=self.margin)))
+            served[rows] = log_odds_of(*self.published(source.planes(rows, margin=self.margin)))
         counted = source.cells if isinstance(source, Halves) else source
         return {LOG_ODDS: served, **counted.planes(), "per_cell": np.array(self.per_cell)}
 
@@ -163,7 +163,7 @@ class RateHalves(_Counted):
         return planes[PASSING], planes[HITS], planes[UNANSWERED]
 
 
-def _as_log_odds(p: Probability, known: Known) -> NDArray[np.float32]:
+def log_odds_of(p: Probability, known: Known) -> NDArray[np.float32]:
     """Log odds that read back as p, up to rounding, and as the very same class; NaN where unknown."""
     within = np.clip(p, P_EDGE, 1.0 - P_EDGE)
     served = np.log(within / (1.0 - within)).astype(np.float32)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ogm_client import BadReply, MapGrid
-from ogm_client.counted_copy import counted_grid
 from ogm_client.map_copy import MapCopy, Taken
 from ogm_core.cells.rate import Rate
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.lattice import CellRect
 from ogm_core.tiles.changes import ChangedTiles
 from ogm_core.types import Pose, Scan
 from ogm_core.wire.map_changes import updates_of
@@ -57,8 +57,10 @@ def test_counts_that_are_others_or_too_many_are_refused():
     grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate()), "e", "r")
     grid.integrate(scan_at(1, np.random.default_rng(1)), Pose(0.0, 0.0, 0.0))
     told = message(grid.snapshot())
-    with pytest.raises(BadReply, match=r"its cells take \d{6} bytes, at most 100000 are allowed"):
-        counted_grid(told, {}, 100_000)
+    copy = MapCopy(MUCH)
+    copy.take(replace(told, extent=CellRect(0, 0, 10**4, 10**4)))
+    with pytest.raises(BadReply, match=r"its cells take 1600000000 bytes, at most 1073741824 are allowed"):
+        copy.grid()
     copy = MapCopy(MUCH)
     names = [plane.name for plane in told.planes[:-1]]
     other = replace(told, planes=told.planes[:-1], cells={name: told.cells[name] for name in names})

@@ -13,8 +13,10 @@ from mutations import mutated
 from ogm_client.errors import BadReply
 from ogm_client.map_copy import MapCopy, Taken
 from ogm_client.map_grid import MapGrid
+from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.cells.model import Plane
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadMessage
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -29,7 +31,7 @@ from ogm_core.wire.map_update import decode_updates, encode_update
 SECOND = 10**9
 MUCH = 2**30
 MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
+    "model", [LogOdds(), LogOdds("float64"), Counts(), Rate()], ids=["int16", "float64", "counts", "rate"]
 )
 
 
@@ -75,11 +77,18 @@ def assert_same(copy, snapshot):
     assert copy.version == (snapshot.epoch, snapshot.run, snapshot.revision)
     assert laid_out(copy) == cells_of(snapshot)
     assert (copy.newest.extent, copy.newest.stamp) == (snapshot.rect, snapshot.stamp)
-    if snapshot.model.planes[0].name != PLANE:
+    if isinstance(snapshot.model, Counts):
         return
-    expected, grid = MapGrid.from_snapshot(snapshot), copy.grid()
+    expected, grid = MapGrid.from_snapshot(snapshot.finest()), copy.grid()
     assert grid.log_odds.dtype == expected.log_odds.dtype
-    assert np.array_equal(grid.log_odds, expected.log_odds, equal_nan=True)
+    if isinstance(snapshot.model, Rate):  # another program computes the same exponentials
+        assert np.array_equal(grid.known, expected.known)
+        classes = [trinary(each.probability, each.known) for each in (grid, expected)]
+        assert np.array_equal(*classes)
+        assert np.array_equal(classes[0], snapshot.finest().encode(trinary))
+        np.testing.assert_allclose(grid.probability, expected.probability, rtol=0, atol=1e-7)
+    else:
+        assert np.array_equal(grid.log_odds, expected.log_odds, equal_nan=True)
     for name in ("resolution", "anchor", "offset", "epoch", "run", "revision", "stamp"):
         assert getattr(grid, name) == getattr(expected, name)
 
@@ -269,6 +278,15 @@ def test_a_copy_is_bounded():
     copy = MapCopy(needed)
     copy.take(replace(update, extent=CellRect(0, 0, 10**6, 10**6)))
     with pytest.raises(BadReply, match="4000000000000 bytes"):
+        copy.grid()
+
+
+def test_counts_in_other_planes_are_refused():
+    grid, rng, copy = new_grid(Rate()), np.random.default_rng(3), MapCopy(MUCH)
+    grid.integrate(scan_at(10**18, rng), Pose(0.5, 0.5, 0.0))
+    (update,) = decode_updates(message(grid.snapshot()))
+    copy.take(replace(update, planes=update.planes[:3]))
+    with pytest.raises(BadReply, match="in other planes than known here: N, C, F"):
         copy.grid()
 
 
