@@ -161,3 +161,11 @@ def test_questions_are_answered_of_fine_cells(desk):
     column, row = ix - fine.offset[0], iy - fine.offset[1]
     ahead = np.flatnonzero(states[row, column:] == 100)
     assert ray["ranges"] == [pytest.approx(ahead[0] * 0.05 - 0.01)]
+
+
+def test_it_is_judged_in_fine_cells_live_and_by_a_build(desk):
+    live = desk.answers.quality_fields(fresh=True)
+    p, known = desk.live.snapshot().finest().published()
+    assert live["known_m2"] == pytest.approx(np.count_nonzero(known) * 0.05**2)
+    assert live["occupied_m2"] == pytest.approx(np.count_nonzero(p > 0.65) * 0.05**2)
+    assert 0.5 < live["consistency"]["hits"] < 1.0

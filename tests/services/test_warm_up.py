@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from numba import njit
 
+from ogm_core.cells import rate_kernel
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import LimitReached
 from ogm_core.files.map_files import PALETTES, encode_json, encode_npz, encode_pgm, encode_png
 from ogm_core.grid import OccupancyGrid
@@ -18,7 +20,16 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.quality import agreement, first_walls, held_out_beams
 from ogm_core.queries import ray_kernel
-from ogm_core.sensor_models import area_fill, area_outline, beams, bresenham, dda, spans
+from ogm_core.sensor_models import (
+    area_fill,
+    area_outline,
+    beams,
+    bresenham,
+    counted_beams,
+    dda,
+    passing,
+    spans,
+)
 from ogm_core.tiles import overviews
 from ogm_core.tiles import view as tiled_cells
 from ogm_core.tiles.pyramid import Square
@@ -203,3 +214,40 @@ def test_the_rest_can_be_given_up_between_two_passes_of_the_compiler(eventually,
 def test_any_sound_settings_warm_up(settings):
     warm_up(settings)
     warm_up_rest(settings)
+
+
+OF_COUNTS = (
+    counted_beams.weigh,
+    passing.extent,
+    passing.touch_tiles,
+    passing.update_planes,
+    rate_kernel._publish,
+    overviews.write_value_bytes,
+)
+
+
+@pytest.mark.parametrize("outside", ["clip", "drop"])
+@pytest.mark.parametrize("bounds", [None, Region(-3, -2, 3, 2)])
+def test_of_a_map_that_counts_nothing_is_compiled_afterwards(bounds, outside):
+    settings = GridSettings(0.1, Rate(), bounds=bounds, outside=outside)
+    warm_up(settings)
+    before = compiled(OF_COUNTS)
+    live_map = LiveMap(OccupancyGrid(settings))
+    for scan in scans():
+        live_map.integrate(scan, Pose(0, 0, 0))
+        encode_png(live_map.snapshot().finest())
+        live_map.info()
+    assert compiled(OF_COUNTS) == before
+    warm_up_rest(settings)
+    before = compiled(KERNELS + OF_COUNTS)
+    tiles = MapTiles(live_map)
+    for scan in scans():
+        live_map.integrate(scan, Pose(0, 0, 0), Sweep(Pose(0, 0, 0), np.zeros((scan.ranges.size, 3))))
+        for snapshot in (live_map.snapshot(), live_map.snapshot().finest()):
+            encode_npz(snapshot)
+            encode_pgm(snapshot)
+        for z in range(10, 17):
+            tiles.tile(Square(z, 0, -1), "ros")
+        live_map.quality()
+    assert compiled(KERNELS + OF_COUNTS) == before
+    assert min(compiled(OF_COUNTS)) >= 1

@@ -75,7 +75,7 @@ def sample_of(snapshot: MapSnapshot, hit: float | None = None) -> Sample | None:
     """The figures of a map, and how well it has predicted scans; None before a scan has made a cell known."""
     if snapshot.stamp is None:
         return None
-    figures, _, _ = map_figures_within(snapshot, VISITS)
+    figures, _, _ = map_figures_within(snapshot.finest(), VISITS)
     if not figures["known_m2"]:
         return None
     return Sample(

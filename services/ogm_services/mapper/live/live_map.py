@@ -219,7 +219,8 @@ class LiveMap:
             room = self._room()
             with self._writing:
                 snapshot = self._current_snapshot(room)
-                return Judged(snapshot, self._grid.settings, list(self._recent), self._grid.cell_updates)
+                updates = self._grid.cell_updates
+                return Judged(snapshot.finest(), self._grid.settings, list(self._recent), updates)
 
     def _allowed(self, memory: MemoryUse) -> int:
         """Bytes that the map may hold now, beside all else and the copy of it that readers get.
