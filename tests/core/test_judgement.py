@@ -143,9 +143,9 @@ def test_without_returns_there_are_no_figures():
         (9.86, None),
         (9.66, "hit"),
         (9.64, None),
-        (9.94, None),
+        (9.945, None),
         (9.96, "short"),
-        (9.56, None),
+        (9.555, None),
         (9.54, "long"),
         (14.9, "short"),
     ],
@@ -193,14 +193,16 @@ def test_far_away_poses_end_no_loop():
 
 
 def test_reliability_is_the_share_of_visits_that_end():
-    corridor = snapshot_of([[logit(0.05)] * 4 + [logit(0.85)] + [NAN] * 3 + [logit(0.97)]])
+    corridor = snapshot_of(
+        [[logit(0.05)] * 4 + [logit(0.85)] + [NAN] * 3 + [logit(0.97)] + [logit(0.05)] * 40]
+    )
     settings = GridSettings(resolution=0.5)
     # From the first cell: into the wall, short of it, through it, far away through it.
     beams = beams_of([PlacedScan(scan_of([2.0]), Pose(0.25, 0.25, 0))] * 3, settings)
     more = beams_of([PlacedScan(scan_of([r]), Pose(0.25, 0.25, 0)) for r in (1.0, 4.0, 21.0)], settings)
     found = reliability(JudgedMap.of(corridor), np.concatenate([beams.rays, more.rays]))
-    assert found.visits.tolist() == [3 * 4 + 3 + 4 + 4, 0, 0, 0, 0, 0, 0, 0, 3 + 1 + 1, 2]
-    assert found.ended[[0, 8, 9]] == pytest.approx([1 / 23, 3 / 5, 1 / 2])
+    assert found.visits.tolist() == [3 * 4 + 3 + 4 + 4 + 32, 0, 0, 0, 0, 0, 0, 0, 3 + 1 + 1, 2]
+    assert found.ended[[0, 8, 9]] == pytest.approx([1 / 55, 3 / 5, 1 / 2])
     assert found.predicted[[0, 8, 9]] == pytest.approx([0.05, 0.85, 0.97])
     assert np.isnan(found.ended[1:8]).all()
 
