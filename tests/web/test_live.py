@@ -69,6 +69,8 @@ def test_a_mapper_that_is_killed_is_missed_and_found_again(mapper, look, keep, e
         eventually(lambda: watched.state()[0] == "bad")
         assert watched.state()[1].startswith("no answer from the mapper")
         keep(watched, "gone")
+        # However long that is, the map's name stays a line or two.
+        assert watched.page.get_by_role("heading", level=1).bounding_box()["height"] < 60
     mapper.start()
     eventually(lambda: watched.state() == ("wait", "waiting for the first scan"))
     assert watched.page.evaluate("() => ogm.state.map.epoch") != old
