@@ -2,12 +2,12 @@
 
 import json
 import socket
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.websockets import WebSocket
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ogm_services.mapper.serving.http_limits import HttpLimits
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
@@ -88,6 +88,8 @@ def http_desk(**limits):
                 reply = much if said == b"" else said or b"a text"
                 await websocket.send_bytes(reply)
                 desk.sent.append(len(reply))
+            with suppress(WebSocketDisconnect):
+                await websocket.send_bytes(b"said too late")
 
         async def app(scope, receive, send):
             if scope["type"] == "websocket":

@@ -187,6 +187,8 @@ class TestMessages:
         [
             ([frame(BINARY, bytes(MAX_MESSAGE + 1))], 1009),
             ([frame(BINARY, bytes(40000), last=False), frame(REST, bytes(40000))], 1009),
+            ([frame(BINARY, last=False)] + [frame(REST, last=False)] * 1024, 1009),
+            ([frame(TEXT, b"a", last=False)] + [frame(REST, b"a", last=False)] * 1024, 1009),
             ([frame(BINARY, b"a", masked=False)], 1002),
             ([frame(0x3, b"a")], 1002),
             ([frame(BINARY, b"a", reserved=0x40)], 1002),
@@ -194,7 +196,18 @@ class TestMessages:
             ([frame(PING, bytes(126))], 1002),
             ([b"\xff" * 300], 1002),
         ],
-        ids=["too long", "too long in parts", "no mask", "opcode", "reserved", "no begin", "ping", "noise"],
+        ids=[
+            "too long",
+            "too long in parts",
+            "parts of nothing",
+            "texts in parts",
+            "no mask",
+            "opcode",
+            "reserved",
+            "no begin",
+            "ping",
+            "noise",
+        ],
     )
     def test_what_is_no_message_ends_it_with_a_reason(self, desk, said, code, no_errors):
         with opened(desk) as (sock, file):

@@ -21,10 +21,14 @@ from ogm_services.mapper.serving.waiting_connections import WaitingConnections
 
 MAX_MESSAGE: Final = 64 * 1024
 """A client's messages have so many bytes at most."""
+_MAX_FRAMES = 1024
+"""A message comes in so many frames at most: frames without a byte count for nothing in its length."""
 PING_PERIOD: Final = 20.0
 """Between two pings, and how long the answer to one may take, s."""
 STOPPING: Final = 1001
 """The code of RFC 6455, section 7.4.1, of a server that goes away."""
+_TOO_BIG = 1009
+"""And of one that takes no message as large."""
 _MAX_UNSENT = 8 * MEBIBYTE
 """More waits for no client that reads: a message is half as long. What remains are answers to its pings."""
 _TIME_TO_CLOSE = 1.0
@@ -82,7 +86,13 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().handle_text(event)
 
     def handle_cont(self, event: Frame) -> None:
-        """Take the rest of a message."""
+        """Take the rest of a message, or the next part of it."""
+        if self.close_sent:
+            return
+        if len(self.frames) >= _MAX_FRAMES:
+            self.conn.fail(_TOO_BIG, f"a message of more than {_MAX_FRAMES} frames")
+            self.handle_parser_exception()
+            return
         if self.curr_msg_data_type == "text":
             event.data = b""
         super().handle_cont(event)
@@ -101,6 +111,9 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         """
         try:
             async with asyncio.timeout(self._waiting.limits.stall_time):
+                await self.writable.wait()
+                if self.close_sent and message["type"] == "websocket.send":
+                    raise ClientDisconnected  # closed below the application, which need not know yet
                 await super().send(message)
                 if message["type"] == "websocket.http.response.body" and self.close_sent:
                     self.handshake_complete = True  # it is refused: uvicorn takes that for a bug
