@@ -4,7 +4,6 @@ Commands import what they need when they run, so that `ogm --help` answers at on
 """
 
 import json
-import math
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -14,38 +13,25 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands import snapshot
-from ogm_services.commands.bag_flags import BagFlags
+from ogm_services.commands.build_flags import build
 from ogm_services.commands.compare import compare
 from ogm_services.commands.erase import erase
 from ogm_services.commands.foxglove_flags import foxglove
-from ogm_services.commands.held_scans import HeldScans
-from ogm_services.commands.log_flags import Log, LogFlags, check_replayed
+from ogm_services.commands.log_flags import Log
+from ogm_services.commands.mapper_flags import demo, mapper
 from ogm_services.commands.quality_flags import quality
 from ogm_services.commands.record_flags import record
+from ogm_services.commands.replay_flags import replay
 from ogm_services.commands.ros2_flags import ros2
-from ogm_services.commands.simulator_options import SimulatorOptions
-from ogm_services.commands.topic_flags import TopicFlags
+from ogm_services.commands.simulator_flags import simulate
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.log_lines import log_nothing
-from ogm_services.runtime.logged_service import logged_service
 from ogm_services.runtime.signals import running_service
 from ogm_services.runtime.terminal import outlive_terminal
 from ogm_services.settings.flag_groups import with_flag_groups
-from ogm_services.settings.flags import (
-    ClientFlags,
-    ConfigFile,
-    HttpFlags,
-    LoggingFlags,
-    MapFlags,
-    MapperFlags,
-    NetworkFlags,
-    PrintConfig,
-    Url,
-    settings_from,
-)
-from ogm_services.settings.robot_flags import RadiusFlags, SensorFlags, check_radii
+from ogm_services.settings.flags import ClientFlags, ConfigFile, Url, settings_from
 
 LIVE = "Live: mapper, robots and recorder"
 FILES = "Recordings and stored maps, without network"
@@ -85,208 +71,10 @@ def program(
     """Take the program's own flags; the commands do the work."""
 
 
-World = Annotated[
-    str,
-    typer.Option("--world", metavar="WORLD", help="lab, office, or the YAML file of a world or a ROS map."),
-]
-Start = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y",
-        help="Where in a ROS map the first robot begins, in metres (default: 0,0 if free, else its largest "
-        "free space inside).",
-    ),
-]
-MapperOut = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR", help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here."
-    ),
-]
-
-
-@app.command(rich_help_panel=LIVE)
-@with_flag_groups
-def demo(
-    map_flags: MapFlags,
-    network: NetworkFlags,
-    http: HttpFlags,
-    logging: LoggingFlags,
-    config: ConfigFile = None,
-    print_config: PrintConfig = False,
-    sensor: SensorFlags = None,
-    robot: RadiusFlags = None,
-    world: World = "lab",
-    start: Start = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help="End this long after the first scan in the map (default: never)."
-        ),
-    ] = None,
-    out: MapperOut = None,
-) -> None:
-    """Start a simulator and a mapper on this machine, and print the URL of the live map."""
-    if duration is not None and not 0.0 < duration < math.inf:
-        raise BadInput(f"--duration: more than 0 s is needed, got {duration:g}")
-    begin = _point("--start", start)
-    groups = map_flags, network, http, logging
-    settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
-    check_radii(robot)
-    with logged_service(*settings.log.as_given), kernel_cache():
-        with loading():
-            from ogm_services.commands.demo import run_demo
-        run_demo(settings, world=world, start=begin, duration=duration, out=out)
-
-
-@app.command(rich_help_panel=LIVE)
-@with_flag_groups
-def mapper(
-    map_flags: MapFlags,
-    mapper_flags: MapperFlags,
-    network: NetworkFlags,
-    http: HttpFlags,
-    logging: LoggingFlags,
-    config: ConfigFile = None,
-    print_config: PrintConfig = False,
-    sensor: SensorFlags = None,
-    robot: RadiusFlags = None,
-    out: MapperOut = None,
-) -> None:
-    """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
-    groups = map_flags, mapper_flags, network, http, logging
-    settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
-    check_radii(robot)
-    with logged_service(*settings.log.as_given), kernel_cache():
-        with loading():
-            from ogm_services.mapper.service import run_mapper
-        run_mapper(settings, out)
-
-
-@app.command(rich_help_panel=LIVE)
-@with_flag_groups
-def simulate(
-    network: NetworkFlags,
-    logging: LoggingFlags,
-    config: ConfigFile = None,
-    print_config: PrintConfig = False,
-    world: World = "lab",
-    start: Start = None,
-    robots: Annotated[int, typer.Option(metavar="N", help="How many robots drive.")] = 1,
-    robot_prefix: Annotated[
-        str, typer.Option(metavar="NAME", help="The robots' names: NAME1, NAME2 and so on.")
-    ] = "robot",
-    robot_radius: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES", help="How large they are to each other's LiDARs (default: they see no robots)."
-        ),
-    ] = None,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Scans a second of each robot.")] = 20.0,
-    seed: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Seed of the noise: equal seeds, equal ranges (default: fresh)."),
-    ] = None,
-    beams: Annotated[int | None, typer.Option(metavar="N", help="Beams of a scan (default: 360).")] = None,
-    fov: Annotated[
-        float | None, typer.Option(metavar="DEGREES", help="Field of view in degrees (default: 360).")
-    ] = None,
-    range_max: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Range of the LiDAR (default: 8).")
-    ] = None,
-    noise: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Standard deviation of a range (default: 0.02).")
-    ] = None,
-    scans: Annotated[
-        int | None, typer.Option(metavar="N", help="End after N scans of each robot; needed with --out.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz, .mcap), without network."
-        ),
-    ] = None,
-    connect_timeout: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS",
-            help="Give up when no mapper or router takes connections for so long (default: never).",
-            show_default=False,
-        ),
-    ] = math.inf,
-) -> None:
-    """Drive simulated robots through a world and publish their poses and scans, or record them."""
-    radians = None if fov is None else math.radians(fov)
-    lidar = (beams, radians, range_max, noise)
-    begin = _point("--start", start)
-    fleet = robot_prefix, connect_timeout, robot_radius
-    options = SimulatorOptions(world, robots, rate, seed, *lidar, scans, begin, *fleet)
-    settings = settings_from(config, network, logging, print_config=print_config)
-    if out is not None and scans is None:
-        raise BadInput("--out needs --scans N: a recording has an end")
-    with logged_service(*settings.log.as_given, interrupted=0 if out is None else INTERRUPTED):
-        with loading():
-            from ogm_services.commands.simulator import record, run_simulator
-        if out is None:
-            run_simulator(settings.network, options)
-        else:
-            record(options, out)
-
-
-def _point(flag: str, text: str | None) -> tuple[float, float] | None:
-    """The point X,Y that a flag gives, m."""
-    if text is None:
-        return None
-    try:
-        x, y = map(float, text.split(","))
-    except ValueError:
-        x = y = math.nan
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise BadInput(f"{flag}: two numbers X,Y in metres are needed, got {text!r}")
-    return x, y
-
-
-def _speed(text: str) -> float | None:
-    """Factor of --speed; None for "max"."""
-    if text == "max":
-        return None
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = math.nan
-    if not 0.0 < factor < math.inf:
-        raise BadInput(f"--speed: a number above 0, or max, is needed, got {text!r}")
-    return factor
-
-
-@app.command(rich_help_panel=LIVE)
-@with_flag_groups
-def replay(
-    log: Log,
-    network: NetworkFlags,
-    log_flags: LogFlags,
-    topics: TopicFlags,
-    bag: BagFlags,
-    logging: LoggingFlags,
-    config: ConfigFile = None,
-    print_config: PrintConfig = False,
-    speed: Annotated[
-        str,
-        typer.Option(metavar="FACTOR|max", help="1: as recorded, 2: twice as fast, max: as the mapper can."),
-    ] = "1",
-) -> None:
-    """Publish a recorded log as its robots did."""
-    factor = _speed(speed)
-    settings = settings_from(config, network, logging, robots=log_flags.robots, print_config=print_config)
-    check_replayed(log_flags.robots)
-    with logged_service(*settings.log.as_given, interrupted=INTERRUPTED):
-        with loading():
-            from ogm_services.commands.log_readers import ReadAs
-            from ogm_services.commands.replay import run_replay
-        read_as = ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics))
-        run_replay(log, settings, speed=factor, read_as=read_as)
-
-
+app.command(rich_help_panel=LIVE)(demo)
+app.command(rich_help_panel=LIVE)(mapper)
+app.command(rich_help_panel=LIVE)(simulate)
+app.command(rich_help_panel=LIVE)(replay)
 app.command(rich_help_panel=LIVE)(ros2)
 app.command(rich_help_panel=LIVE)(record)
 
@@ -372,57 +160,7 @@ app.command(rich_help_panel=RUNNING)(erase)
 app.command(rich_help_panel=RUNNING)(foxglove)
 
 
-@app.command(rich_help_panel=FILES)
-@with_flag_groups
-def build(
-    log: Log,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here."),
-    ],
-    map_flags: MapFlags,
-    log_flags: LogFlags,
-    topics: TopicFlags,
-    bag: BagFlags,
-    config: ConfigFile = None,
-    print_config: PrintConfig = False,
-    sensor: SensorFlags = None,
-    hold_out: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Keep every Nth scan (N >= 2) out of the map, and judge the map by it."
-        ),
-    ] = None,
-    world: Annotated[
-        str | None,
-        typer.Option(
-            "--world", metavar="WORLD", help="Judge the map by this true world, named as in ogm simulate."
-        ),
-    ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
-    ] = None,
-) -> None:
-    """Make a map of a recorded log, without network."""
-    held = HeldScans(hold_out)
-    robots = log_flags.robots
-    settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
-    with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
-        with loading():
-            from ogm_services.commands.build import run_build
-            from ogm_services.commands.log_readers import ReadAs
-        run_build(
-            log,
-            out,
-            settings,
-            read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics)),
-            held=held,
-            world=world,
-            figure=figure,
-        )
-
-
+app.command(rich_help_panel=FILES)(build)
 app.command(rich_help_panel=FILES)(quality)
 app.command(rich_help_panel=FILES)(compare)
 

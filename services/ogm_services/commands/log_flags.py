@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.settings.entries import FORM, check_for_whom
+
+if TYPE_CHECKING:
+    from ogm_services.commands.log_readers import ReadAs
+    from ogm_services.ros2.bag_reader import BagOptions
 
 _KINDS = (
     "Recording (.jsonl, .mcap), CARMEN log (.log, .clf) or g2o graph with scans (.g2o), .gz, too; a bag of "
@@ -63,6 +67,16 @@ class LogFlags:
     def robots(self) -> list[str]:
         """What is said of robots, GLOB:KEY=VALUE,... of each."""
         return [text for text in self.robot or () if ":" in text]
+
+    def read_as(self, bag: "BagOptions | None") -> "ReadAs":
+        """How the log is to be read; `bag`, if it is one.
+
+        Raises:
+            BadInput: it has several names.
+        """
+        from ogm_services.commands.log_readers import ReadAs
+
+        return ReadAs(self.range_max, self.name, self.odometry, bag)
 
 
 def check_replayed(texts: list[str]) -> None:

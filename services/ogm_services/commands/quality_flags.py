@@ -71,14 +71,13 @@ def quality(
     )
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
-            from ogm_services.commands.log_readers import ReadAs
             from ogm_services.commands.map_variants import variants
             from ogm_services.commands.quality import run_quality
         run_quality(
             logs,
             variants(models, settings),
             held,
-            read_as=ReadAs(log_flags.range_max, log_flags.name, log_flags.odometry, bag.options(topics)),
+            read_as=log_flags.read_as(bag.options(topics)),
             as_json=as_json,
             figure=figure,
         )

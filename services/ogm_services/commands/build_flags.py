@@ -1,0 +1,68 @@
+"""The command `ogm build` and its flags; what it does is in `build`, which is loaded when it runs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ogm_services.commands.bag_flags import BagFlags
+from ogm_services.commands.held_scans import HeldScans
+from ogm_services.commands.log_flags import Log, LogFlags
+from ogm_services.commands.topic_flags import TopicFlags
+from ogm_services.runtime.endings import INTERRUPTED
+from ogm_services.runtime.kernel_cache import kernel_cache
+from ogm_services.runtime.loading import loading
+from ogm_services.runtime.log_lines import log_nothing
+from ogm_services.runtime.signals import running_service
+from ogm_services.settings.flag_groups import with_flag_groups
+from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, settings_from
+from ogm_services.settings.robot_flags import SensorFlags
+
+
+@with_flag_groups
+def build(
+    log: Log,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here."),
+    ],
+    map_flags: MapFlags,
+    log_flags: LogFlags,
+    topics: TopicFlags,
+    bag: BagFlags,
+    config: ConfigFile = None,
+    print_config: PrintConfig = False,
+    sensor: SensorFlags = None,
+    hold_out: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Keep every Nth scan (N >= 2) out of the map, and judge the map by it."
+        ),
+    ] = None,
+    world: Annotated[
+        str | None,
+        typer.Option(
+            "--world", metavar="WORLD", help="Judge the map by this true world, named as in ogm simulate."
+        ),
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
+    ] = None,
+) -> None:
+    """Make a map of a recorded log, without network."""
+    held = HeldScans(hold_out)
+    robots = log_flags.robots
+    settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
+    with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
+        with loading():
+            from ogm_services.commands.build import run_build
+        run_build(
+            log,
+            out,
+            settings,
+            read_as=log_flags.read_as(bag.options(topics)),
+            held=held,
+            world=world,
+            figure=figure,
+        )
