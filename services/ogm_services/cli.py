@@ -19,6 +19,7 @@ from ogm_services.commands.erase import erase
 from ogm_services.commands.foxglove_flags import foxglove
 from ogm_services.commands.log_flags import Log
 from ogm_services.commands.mapper_flags import demo, mapper
+from ogm_services.commands.merge import merge
 from ogm_services.commands.quality_flags import quality
 from ogm_services.commands.record_flags import record
 from ogm_services.commands.replay_flags import replay
@@ -163,6 +164,7 @@ app.command(rich_help_panel=RUNNING)(foxglove)
 app.command(rich_help_panel=FILES)(build)
 app.command(rich_help_panel=FILES)(quality)
 app.command(rich_help_panel=FILES)(compare)
+app.command(rich_help_panel=FILES)(merge)
 
 
 @app.command(rich_help_panel=FILES)

@@ -41,6 +41,7 @@ FLAGS = {
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
+    "merge": "--out -o",
     "info": "--json",
     "get": "--out -o --at --url --map --zenoh-config --config",
     "status": "--json --watch --url --map --zenoh-config --config",
@@ -108,7 +109,7 @@ def test_help_lists_commands_by_what_they_work_on(ogm):
     assert " ".join(panel or command for panel, command in shown) == (
         "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
         "A running mapper and its map get status erase foxglove snapshot "
-        "Recordings and stored maps, without network build quality compare info repair"
+        "Recordings and stored maps, without network build quality compare merge info repair"
     )
 
 
