@@ -111,7 +111,7 @@ def test_a_page_that_is_named_writes_with_the_token_and_by_no_cookie(sharing):
     epoch = sharing.status()["epoch"]
     cookie = sharing.http.post("/login", json={"token": TOKEN}).headers["set-cookie"].partition(";")[0]
     sharing.http.cookies.clear()
-    for headers in ({}, {"Cookie": cookie}):
+    for headers in ({}, {"Cookie": cookie}, {"Cookie": cookie, "Authorization": "Basic eDp5"}):
         assert sharing.http.post("/reset", headers=by_page(NAMED) | headers).status_code == 403
         own = {"Origin": NAMED, "Sec-Fetch-Site": "same-site"}
         assert sharing.http.post("/reset", headers=own | headers).status_code == 403

@@ -98,6 +98,14 @@ def test_a_log_in_has_no_parameters_and_no_long_body(page):
     assert page.post("/login", content=b" " * 2000).status_code == 413
 
 
+def test_the_password_of_a_proxy_on_the_way_hinders_no_page_that_is_logged_in(page):
+    password = {"Authorization": "Basic b3BlcmF0b3I6c2VjcmV0"}
+    assert page.post("/reset", headers=password).status_code == 401
+    log_in(page, headers=password).raise_for_status()
+    assert page.post("/reset", headers=password).status_code == 200
+    assert page.post("/reset", headers={"Authorization": "Bearer x"}).status_code == 401
+
+
 def test_pages_of_other_origins_neither_log_in_nor_write_by_the_cookie(page):
     foreign = {"Sec-Fetch-Site": "same-site", "Origin": "http://127.0.0.1:1"}
     assert log_in(page, headers=foreign).status_code == 403

@@ -8,6 +8,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from ogm_core.errors import cut
 from ogm_services.mapper.serving.cross_origin import SAFE_METHODS, Origins
 from ogm_services.mapper.serving.refusals import refusal
+from ogm_services.mapper.serving.write_access import carries_token
 from ogm_services.replies.answer import CrossOrigin
 
 
@@ -42,7 +43,7 @@ class SameOrigin:
         if scope["type"] == "http" and scope["method"] not in SAFE_METHODS:
             headers = Headers(scope=scope)
             foreign = _foreign(headers)
-            if foreign is not None and not self._may(scope["path"], headers):
+            if foreign is not None and not self._may(scope, headers):
                 error = CrossOrigin(
                     f"{scope['method']} {cut(scope['path'])}: refused: a page of another origin asks for it "
                     f"({foreign}): use the mapper's own page, or a program that is no browser; "
@@ -52,12 +53,12 @@ class SameOrigin:
                 return
         await self._app(scope, receive, send)
 
-    def _may(self, path: str, headers: Headers) -> bool:
+    def _may(self, scope: Scope, headers: Headers) -> bool:
         """Whether a page of another origin may: a token that it sends itself, no other page can send."""
         origin = headers.get("Origin", "").lower()
-        if path in self._reads and origin in self._origins:
+        if scope["path"] in self._reads and origin in self._origins:
             return True
-        return self._token_needed and origin in self._origins.named and "Authorization" in headers
+        return self._token_needed and origin in self._origins.named and carries_token(scope)
 
 
 def foreign_origin(headers: Headers, allowed: Container[str] = ()) -> str | None:

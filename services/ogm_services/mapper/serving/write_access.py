@@ -27,14 +27,15 @@ class WriteAccess:
         return self._token is not None
 
     def problem(self, scope: Scope) -> OgmError | None:
-        """Why whoever sends a request may not write; None: he may. A token counts before a log-in."""
+        """Why whoever sends a request may not write; None: he may. A token counts before a log-in.
+
+        Of other schemes are the passwords that a browser sends to a proxy on the way: they say nothing here.
+        """
         if self._token is None:
             return None
-        given = [value for name, value in scope["headers"] if name == b"authorization"]
-        if not given:
+        if not carries_token(scope):
             return None if self.log_ins.has(scope) else Unauthorized("it carries no token")
-        if not any(map(_token_of, given)):
-            return Unauthorized("it carries no token")
+        given = _authorizations(scope)
         return self.problem_of(scope, _token_of(given[0]) if len(given) == 1 else b"")
 
     def problem_of(self, scope: Scope, token: bytes) -> OgmError | None:
@@ -48,6 +49,15 @@ class WriteAccess:
             return None
         self._guesses.wrong(address)
         return Unauthorized("its token is not the mapper's")
+
+
+def carries_token(scope: Scope) -> bool:
+    """Whether a request has a token in Authorization, right or wrong."""
+    return any(map(_token_of, _authorizations(scope)))
+
+
+def _authorizations(scope: Scope) -> list[bytes]:
+    return [value for name, value in scope["headers"] if name == b"authorization"]
 
 
 def _token_of(header: bytes) -> bytes:
