@@ -65,9 +65,9 @@ def client_of(mapper, headers=None, buffer=None, host=None, path="/ws"):
             yield Client(connected)
 
 
-def refusal(mapper, headers=None):
+def refusal(mapper, headers=None, **where):
     """Status and type with which a client is not let in."""
-    with pytest.raises(InvalidStatus) as refused, client_of(mapper, headers):
+    with pytest.raises(InvalidStatus) as refused, client_of(mapper, headers, **where):
         pass
     answer = refused.value.response
     assert answer.headers["Content-Type"] == "application/problem+json"
@@ -293,10 +293,13 @@ class TestWhoIsLetIn:
             with client_of(cross, {"Origin": f"{scheme}://{host}"}) as client:
                 assert client.hello["type"] == "hello"
 
-    def test_under_a_foreign_name_nobody_is(self, cross):
-        with pytest.raises(InvalidStatus) as refused, client_of(cross, host="evil.example"):
-            pass
-        assert refused.value.response.status_code == 403
+    def test_under_a_foreign_name_nobody_is(self, cross, caplog):
+        assert refusal(cross, host="evil.example") == (421, "misdirected")
+        assert any("evil.example" in record.getMessage() for record in caplog.records)
+
+    def test_elsewhere_nobody_is(self, cross):
+        for path in ("/nowhere/ws", "//ws", "/%2fws", "/%ff/ws"):
+            assert refusal(cross, path=path) == (404, "not-found")
 
     def test_no_token_is_needed_to_look(self, start_mapper, no_errors):
         with start_mapper(http={"token": "0123456789abcdef"}) as mapper:

@@ -74,8 +74,6 @@ class KnownHosts:
         error = self._error(scope) if scope["type"] != "lifespan" else None
         if error is None:
             await self._app(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await send({"type": "websocket.close"})  # 403, for none was accepted
         else:
             await refusal(error)(scope, receive, send)
 

@@ -34,6 +34,7 @@ _MAX_UNSENT = 8 * MEBIBYTE
 _TIME_TO_CLOSE = 1.0
 """How long a client may take to hear that the mapper stops, s."""
 _KEY = re.compile(rb"[A-Za-z0-9+/]{22}==")
+_PROTOCOLS = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+([ \t]*,[ \t]*[!#$%&'*+\-.^_`|~0-9A-Za-z]+)*")
 
 
 def is_handshake(headers: Sequence[tuple[bytes, bytes]]) -> bool:
@@ -42,16 +43,22 @@ def is_handshake(headers: Sequence[tuple[bytes, bytes]]) -> bool:
         b"sec-websocket-key",
         b"sec-websocket-version",
         b"upgrade",
+        b"origin",
+        b"sec-websocket-protocol",
         b"content-length",
         b"transfer-encoding",
     )
-    keys, versions, upgrades, *bodies = ([value for name, value in headers if name == one] for one in wanted)
+    keys, versions, upgrades, origins, protocols, *bodies = (
+        [value for name, value in headers if name == one] for one in wanted
+    )
     return (
         not any(bodies)
         and len(keys) == 1
         and _KEY.fullmatch(keys[0]) is not None
         and versions == [b"13"]
         and [value.lower() for value in upgrades] == [b"websocket"]
+        and len(origins) <= 1
+        and all(map(_PROTOCOLS.fullmatch, protocols))
     )
 
 
