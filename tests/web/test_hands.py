@@ -127,6 +127,7 @@ def test_a_clicked_point_is_copied(watched, eventually):
     page.get_by_role("button", name="copy", exact=True).click()
     copied = eventually(lambda: page.evaluate("() => navigator.clipboard.readText()"))
     assert [float(part) for part in copied.split(", ")] == pytest.approx([1.0, 2.0], abs=0.06)
+    assert page.locator("#notice").inner_text() == f"Copied: {copied} m."
     page.keyboard.press("Escape")
     eventually(page.locator("#pin").is_hidden)
 
@@ -148,6 +149,7 @@ def test_a_link_leads_to_the_same_view(watched, lab, look, eventually):
     page.keyboard.press("l")
     link = eventually(lambda: page.evaluate("() => navigator.clipboard.readText()"))
     assert link == address(page)
+    assert page.locator("#notice").inner_text() == "Copied: a link to this view."
     other = look(lab)
     other.open("#" + link.partition("#")[2])
     assert view(other) == pytest.approx(view(watched), abs=0.011)
@@ -156,6 +158,21 @@ def test_a_link_leads_to_the_same_view(watched, lab, look, eventually):
         third = look(lab)
         third.open(nonsense)
         assert third.complaints == []
+
+
+def test_a_view_that_is_fitted_has_no_address_and_a_link_all_the_same(watched, lab, eventually):
+    page = watched.page
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    fitted = view(watched)
+    watched.page.mouse.move(*watched.place(3.0, 2.0))
+    page.mouse.wheel(0, -300)
+    eventually(lambda: "#" in address(page))
+    page.keyboard.press("f")
+    eventually(lambda: address(page) == lab.url)
+    page.keyboard.press("l")
+    link = eventually(lambda: page.evaluate("() => navigator.clipboard.readText()"))
+    z, x, y = (float(part) for part in link.partition("#")[2].split("/"))
+    assert [x, y, z - 16] == pytest.approx(fitted, abs=0.011)
 
 
 def test_what_is_seen_is_saved_as_a_picture(watched, tmp_path):

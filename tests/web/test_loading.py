@@ -35,12 +35,19 @@ def test_a_map_without_a_cell_waits_for_one_and_shows_it(mapper, look, keep, eve
     watched = look(mapper)
     watched.page.goto(mapper.url)
     eventually(lambda: watched.state() == ("wait", "waiting for the first scan"))
+    empty = watched.page.locator("#empty")
+    assert empty.inner_text().startswith("Nothing to see yet")
+    title, state = (watched.page.locator(f"#panel {part}").bounding_box() for part in ("h1", "#state"))
+    assert title["height"] < 30  # one line, with room beside it
+    assert state["y"] >= title["y"] + title["height"]
+    keep(watched, "empty")
     with mapper.robot() as robot:
         robot.publish_scan(
             [1.0], angle_min=0.0, angle_increment=0.1, range_min=0.5, range_max=2.0, pose=(0.05, 0.05, 0.0)
         )
         eventually(lambda: mapper.integrated() == 1)
         watched.settle()
+        assert empty.is_hidden()
     keep(watched, "one-beam")
     assert watched.complaints == []
 

@@ -1,18 +1,26 @@
 // Takes away what is seen: texts to the clipboard, the view as a picture.
+import {tell} from "./banner.js";
 import {ground} from "./overlay.js";
 import {state} from "./state.js";
 
-export async function copy(text) {
+// `what` has been copied, it is said where all see it.
+export async function copy(text, what) {
+  tell(await toClipboard(text) ? `Copied: ${what}.` : "This browser lets nothing be copied.");
+}
+
+async function toClipboard(text) {
   try {
     await navigator.clipboard.writeText(text);
+    return true;
   } catch {
     // Without HTTPS browsers have no such clipboard, but on this machine.
     const area = document.createElement("textarea");
     area.value = text;
     document.body.append(area);
     area.select();
-    document.execCommand("copy");
+    const done = document.execCommand("copy");
     area.remove();
+    return done;
   }
 }
 

@@ -35,7 +35,7 @@ function show(quality) {
   ]);
   const {log_loss, ...shares} = quality.truth ?? {};
   fill("agreement", !quality.truth ? [] : [
-    ...Object.entries(shares).map(([name, share]) => [name, percent(share)]),
+    ...Object.entries(shares).map(([name, share]) => [name === "iou" ? "IoU" : name, percent(share)]),
     ["log loss", log_loss?.toFixed(3) ?? "none"],
   ]);
   drawCurves();

@@ -33,6 +33,7 @@ export function startMeasure(view, redraw) {
   view.map.on("click", (event) => {
     if (state.tool !== "measure") return;
     points.push(placed(event));
+    pointer = null;  // until it moves on: no piece of 0 m is begun
     redraw();
   });
   view.map.on("mousemove", (event) => {

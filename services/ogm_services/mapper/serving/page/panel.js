@@ -57,6 +57,7 @@ export function startPanel() {
   subscribe("connection", ({kind, text}) => {
     say(element("state"), text);
     element("state").className = kind === "live" ? "" : kind;
+    element("empty").hidden = kind === "bad" || !state.map || Boolean(state.map.extent);
   });
   element("grip").addEventListener("click", () => open(element("panel").classList.contains("closed")));
   open(!PHONE.matches);

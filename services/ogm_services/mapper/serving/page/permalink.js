@@ -8,18 +8,25 @@ export function viewIn(hash) {
   return z >= NATIVE_Z - LEVELS && z <= NATIVE_Z + LEVELS ? {zoom: z - NATIVE_Z, x, y} : null;
 }
 
+function hashOf(view) {
+  const {lat: y, lng: x} = view.map.getCenter(), z = NATIVE_Z + view.map.getZoom();
+  return `#${Number(z.toFixed(2))}/${x.toFixed(2)}/${y.toFixed(2)}`;
+}
+
+// The address of what is seen at this moment, whether or not the page goes on to fit it.
+export const linkTo = (view) => location.href.replace(/#.*/, "") + hashOf(view);
+
 export function startPermalink(view) {
   const go = () => {
     const wanted = viewIn(location.hash);
     if (!wanted) return;
-    view.centreOn(wanted.x, wanted.y, wanted.zoom);
     view.touched = true;
+    view.centreOn(wanted.x, wanted.y, wanted.zoom);
   };
   view.map.on("moveend", () => {
-    if (!view.touched) return;
-    const {lat: y, lng: x} = view.map.getCenter(), z = NATIVE_Z + view.map.getZoom();
-    const hash = `#${Number(z.toFixed(2))}/${x.toFixed(2)}/${y.toFixed(2)}`;
-    if (hash !== location.hash) history.replaceState(null, "", hash);
+    // A view that the page fits is where the page fits it, for whoever opens it.
+    const hash = view.touched ? hashOf(view) : "";
+    if (hash !== location.hash) history.replaceState(null, "", hash || location.pathname + location.search);
   });
   addEventListener("hashchange", go);
   go();

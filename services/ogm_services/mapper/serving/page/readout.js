@@ -54,7 +54,7 @@ async function refresh(view) {
 
 export const copyPlace = (view) => {
   const at = pinned ?? pointed(view);
-  if (at) copy(said(at));
+  if (at) copy(said(at), `${said(at)} m`);
 };
 
 function cross(pen, [u, v], size) {
@@ -70,7 +70,7 @@ export const pointLayer = {
   name: "point",
   draw(pen, view) {
     if (pinned) cross(pen, view.toCanvas(...pinned), 7);
-    if (byMiddle()) cross(pen, [view.width / 2, view.height / 2], 10);
+    if (byMiddle() && state.map.extent) cross(pen, [view.width / 2, view.height / 2], 10);
   },
 };
 

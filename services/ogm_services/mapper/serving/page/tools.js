@@ -2,6 +2,7 @@
 import {copy, savePicture} from "./copying.js";
 import {followNext} from "./follow.js";
 import {toggleMeasure} from "./measure.js";
+import {linkTo} from "./permalink.js";
 import {copyPlace} from "./readout.js";
 import {change, state, subscribe} from "./state.js";
 import {element} from "./tables.js";
@@ -23,7 +24,7 @@ const toolsOf = ({view, canvas, fitting}) => [
   ["m", "measure", "M2 11.5 11.5 2 14 4.5 4.5 14zM5 8.5l1.5 1.5M8 5.5 9.5 7", toggleMeasure, ["tool", () => state.tool === "measure"]],
   ["g", "grid in metres", "M6 2v12M10.5 2v12M2 6h12M2 10.5h12", () => toggleLayer("grid"), ["layers", () => state.layers.grid.shown]],
   ["l", "copy a link to this view", "M6.5 9.5l3-3M7 5l1.5-1.5a2.5 2.5 0 0 1 4 4L11 9M9 11l-1.5 1.5a2.5 2.5 0 0 1-4-4L5 7",
-    () => { copy(location.href); say("the link is copied"); }],
+    () => copy(linkTo(view), "a link to this view")],
   ["p", "save as a picture", "M8 2v8M4.5 7 8 10.5 11.5 7M2.5 13.5h11", () => savePicture(canvas)],
   ["w", "full screen", "M9.5 2H14v4.5M14 2 9.5 6.5M6.5 14H2V9.5M2 14l4.5-4.5", toggleFullScreen],
 ];
@@ -54,7 +55,7 @@ export function startTools(page) {
   const tools = toolsOf(page);
   element("tools").replaceChildren(...tools.map(button));
   const keys = new Map(tools.slice(2).map(([key, , , act]) => [key, act]));
-  keys.set("c", () => { copyPlace(page.view); say("the coordinates are copied"); });
+  keys.set("c", () => copyPlace(page.view));
   keys.set("Escape", () => {
     page.unpin();
     if (state.tool) change("tool", null);
