@@ -6,6 +6,9 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Match, Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+"""They change nothing (RFC 9110, section 9.2.1)."""
+
 
 class AllowedMethods:
     """ASGI middleware: answers OPTIONS, and has the routes of GET answer HEAD."""

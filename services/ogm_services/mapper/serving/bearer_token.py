@@ -5,7 +5,7 @@ from collections.abc import Container
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ogm_core.errors import MAX_SHOWN
-from ogm_services.mapper.serving.cross_origin import SAFE_METHODS
+from ogm_services.mapper.serving.allowed_methods import SAFE_METHODS
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.write_access import WriteAccess
 from ogm_services.replies.answer import Unauthorized

@@ -7,11 +7,9 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ogm_services.mapper.serving.allowed_methods import allowed_methods
+from ogm_services.mapper.serving.allowed_methods import SAFE_METHODS, allowed_methods
 
 EVERYBODY = "*"
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-"""They change nothing (RFC 9110, section 9.2.1)."""
 _ASKED_WITH = ("Content-Type", "If-Match", "If-None-Match")
 _TOLD = "ETag, OGM-Epoch, OGM-Origin, OGM-Resolution, OGM-Revision, OGM-Run, OGM-Stamp, Retry-After"
 """What scripts may read besides what they always may."""

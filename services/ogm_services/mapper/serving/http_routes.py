@@ -4,46 +4,38 @@ import importlib.metadata
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
-from urllib.parse import unquote_plus
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 from fastapi_offline import FastAPIOffline
-from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp
 
 from ogm_core.errors import OgmError, cut
 from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_core.wire.map_update import MEDIA_TYPE as UPDATES_TYPE
-from ogm_services.mapper.serving.allowed_methods import AllowedMethods, allowed_methods
+from ogm_services.mapper.serving.allowed_methods import allowed_methods
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
-from ogm_services.mapper.serving.bearer_token import BearerToken
-from ogm_services.mapper.serving.behind_proxies import BehindProxies, WholePath, check_root_path
-from ogm_services.mapper.serving.content_coding import Gzip, accepted_by
-from ogm_services.mapper.serving.cross_origin import CrossOriginSharing
+from ogm_services.mapper.serving.behind_proxies import check_root_path
+from ogm_services.mapper.serving.content_coding import accepted_by
 from ogm_services.mapper.serving.handlers import Handler, add_get, in_turn, parameters_of, plain
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
-from ogm_services.mapper.serving.in_pieces import InPieces
+from ogm_services.mapper.serving.http_middlewares import middlewares
 from ogm_services.mapper.serving.json_models import CellState, OccupancyMap, Quality, Version
-from ogm_services.mapper.serving.known_hosts import KnownHosts, OwnNames
 from ogm_services.mapper.serving.live_route import add_live_route
-from ogm_services.mapper.serving.login_routes import LOG_IN_PATHS, add_login_routes
+from ogm_services.mapper.serving.login_routes import add_login_routes
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, FINE_FIRST
 from ogm_services.mapper.serving.map_updates import UPDATES_PARAMETERS
-from ogm_services.mapper.serving.measured_http import MeasuredHttp
 from ogm_services.mapper.serving.metrics import MEDIA_TYPE as METRICS_TYPE
 from ogm_services.mapper.serving.metrics import Metrics
 from ogm_services.mapper.serving.page_routes import add_page_routes
-from ogm_services.mapper.serving.query_routes import READS, add_query_routes
+from ogm_services.mapper.serving.query_routes import add_query_routes
 from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
-from ogm_services.mapper.serving.refused_http import RefusedHttp
-from ogm_services.mapper.serving.same_origin import SameOrigin
 from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.tile_routes import add_tile_routes
 from ogm_services.mapper.serving.write_access import WriteAccess
@@ -55,44 +47,8 @@ from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 from ogm_services.replies.turns import Turns
 
 METHOD_NOT_ALLOWED = 405
-UNHEARD = "t"
-"""Query parameter that viewers add, with a new value each time, lest a cache answers them."""
 
 log = logging.getLogger(__name__)
-
-
-class _NoStore:
-    """ASGI middleware: nothing is kept by caches unless a route says otherwise."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def send_marked(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in NO_STORE.items():
-                    headers.setdefault(name, value)
-            await send(message)
-
-        await self._app(scope, receive, send_marked)
-
-
-class _WithoutUnheard:
-    """ASGI middleware: nothing behind it sees the query parameter UNHEARD, neither a route nor a cache."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http" and scope["query_string"]:
-            heard = [
-                part
-                for part in scope["query_string"].split(b"&")
-                if unquote_plus(part.partition(b"=")[0].decode("latin-1")) != UNHEARD
-            ]
-            scope = {**scope, "query_string": b"&".join(heard)}
-        await self._app(scope, receive, send)
 
 
 def build_app(
@@ -124,27 +80,15 @@ def build_app(
     )
     ready = ReadyMaps(answers)
     answers.count_cache(ready)
-    names = OwnNames(access.hosts)
-    app.add_middleware(WholePath)
-    app.add_middleware(AllowedMethods, routes=app.routes)
     write_access = WriteAccess(access.token)
-    app.add_middleware(BearerToken, access=write_access, reads=READS | LOG_IN_PATHS)
-    app.add_middleware(
-        SameOrigin, origins=access.origins, reads=READS, token_needed=write_access.token_needed
-    )
-    app.add_middleware(_NoStore)
-    app.add_middleware(Gzip)
-    app.add_middleware(ready.around)
-    app.add_middleware(_WithoutUnheard)
-    app.add_middleware(InPieces, in_flight=in_flight or InFlight())
-    if access.origins:
-        app.add_middleware(CrossOriginSharing, origins=access.origins, routes=app.routes, reads=READS)
-    app.add_middleware(KnownHosts, names=names)
-    app.add_middleware(RefusedHttp)
-    app.add_middleware(MeasuredHttp, measurements=metrics.measurements, routes=app.routes)
-    if access.root_path or access.proxies:
-        app.add_middleware(BehindProxies, names=names, routes=app.routes, access=access)
-    # The last one is the first that a request meets.
+    for each in reversed(
+        middlewares(
+            *(app.routes, access, write_access, ready),
+            in_flight=in_flight or InFlight(),
+            measurements=metrics.measurements,
+        )
+    ):
+        app.add_middleware(each.cls, *each.args, **each.kwargs)  # outside those that are added already
     _add_map_routes(app, shares.maps, answers, ready)
     add_tile_routes(app, shares.maps, answers, ready)
     add_query_routes(app, answers, ready, shares.maps)

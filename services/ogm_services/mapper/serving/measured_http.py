@@ -13,7 +13,7 @@ METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS",
 
 
 class MeasuredHttp:
-    """ASGI middleware, outside all others: measures every request, by the template of its route."""
+    """ASGI middleware, outside all that answer: measures every request, by the template of its route."""
 
     def __init__(self, app: ASGIApp, measurements: Measurements, routes: list[BaseRoute]) -> None:
         """`routes`: the application's, which may still grow."""

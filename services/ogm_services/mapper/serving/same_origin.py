@@ -6,7 +6,8 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from ogm_core.errors import cut
-from ogm_services.mapper.serving.cross_origin import SAFE_METHODS, Origins
+from ogm_services.mapper.serving.allowed_methods import SAFE_METHODS
+from ogm_services.mapper.serving.cross_origin import Origins
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.write_access import carries_token
 from ogm_services.replies.answer import CrossOrigin

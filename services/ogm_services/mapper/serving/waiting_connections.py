@@ -6,6 +6,8 @@ from typing import Protocol
 
 from ogm_services.mapper.serving.http_limits import FULL, HttpLimits
 
+_ROOM = "for each new one the one is closed that waits longest for a request"
+
 
 class Connection(Protocol):
     """A connection that may wait."""
@@ -33,15 +35,15 @@ class WaitingConnections:
         self.closed = closed
         self._since: dict[Connection, float] = {}
 
-    def add(self, connection: "Connection", now: float) -> None:
+    def add(self, connection: Connection, now: float) -> None:
         """It waits from now on."""
         self._since[connection] = now
 
-    def discard(self, connection: "Connection") -> None:
+    def discard(self, connection: Connection) -> None:
         """It waits no longer."""
         self._since.pop(connection, None)
 
-    def make_room(self, newcomer: "Connection") -> None:
+    def make_room(self, newcomer: Connection) -> None:
         """Close the one that has waited longest; where all others are being answered, the newcomer."""
         self.complain("HTTP", FULL, f"{self.limits.connections} connections are open: {_ROOM}")
         self.closed(FULL)
@@ -58,6 +60,3 @@ class WaitingConnections:
                 return
             self.discard(connection)
             connection.close_late()
-
-
-_ROOM = "for each new one the one is closed that waits longest for a request"

@@ -27,9 +27,8 @@ export class Link {
 
   pause() {
     this.turn += 1;
-    clearTimeout(this.timer);
     this.live.push.stop();
-    clearTimeout(this.timer);
+    clearTimeout(this.timer);  // which the end of pushing may have set
   }
 
   soon(delay) {
