@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from importlib.resources import files
 
 from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 
+from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.handlers import add_get
 from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
@@ -18,6 +20,16 @@ _VERSIONED = "{static}"
 _LEAFLET = ("leaflet.js", "leaflet.css")
 _MEDIA_TYPES = {"js": "text/javascript", "css": "text/css"}
 _FOR_GOOD = {"Cache-Control": "public, max-age=31536000, immutable", "X-Content-Type-Options": "nosniff"}
+_FROM_PYTHON: Mapping[str, Mapping[str, object]] = {
+    "what_helps.js": {
+        "DROPPED": WHAT_HELPS,
+        "LOST": LOST_HELPS,
+        "ON_ROBOTS": ON_ROBOTS_MEANS,
+        "HINT": HINT_HELPS,
+    },
+    "classes.js": {"FREE_BELOW": FREE_BELOW, "OCCUPIED_ABOVE": OCCUPIED_ABOVE},
+}
+"""Modules of the page that are no files: words of `ogm status`, and what a probability means."""
 PAGE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
@@ -38,7 +50,7 @@ class PageFiles:
         leaflet = files("js_lib_leaflet") / "static" / "js_lib_leaflet"
         found = [*folder.iterdir(), *(leaflet / name for name in _LEAFLET)]
         texts = {file.name: file.read_bytes() for file in sorted(found, key=lambda file: file.name)}
-        texts["what_helps.js"] = _what_helps()
+        texts |= {name: _module(said) for name, said in _FROM_PYTHON.items()}
         digest = hashlib.sha256()
         for name, text in texts.items():
             digest.update(f"{name} {len(text)} ".encode() + text)
@@ -59,10 +71,9 @@ class PageFiles:
         return Response(self.texts[name], media_type=media_type, headers=_FOR_GOOD)
 
 
-def _what_helps() -> bytes:
-    """The words of `ogm status` for what is not in the map, as a module of the page."""
-    words = {"DROPPED": WHAT_HELPS, "LOST": LOST_HELPS, "ON_ROBOTS": ON_ROBOTS_MEANS, "HINT": HINT_HELPS}
-    return "".join(f"export const {name} = {json.dumps(said)};\n" for name, said in words.items()).encode()
+def _module(said: Mapping[str, object]) -> bytes:
+    """A module of the page that exports constants."""
+    return "".join(f"export const {name} = {json.dumps(value)};\n" for name, value in said.items()).encode()
 
 
 def add_page_routes(app: FastAPI) -> None:

@@ -1,8 +1,6 @@
 // The one canvas that shows the map, drawn in one frame whenever something of it has changed.
 import {state} from "./state.js";
-import {NATIVE_Z, LEVELS, tilesOf} from "./view.js";
-
-const SIZE = 256;
+import {NATIVE_Z, LEVELS, SIZE, tilesOf} from "./view.js";
 
 export class MapCanvas {
   constructor(view, tiles) {

@@ -1,5 +1,5 @@
 // Lines each so many metres, with their coordinates at the edges; those through the origin are stronger.
-import {ground, isDark, outlined} from "./overlay.js";
+import {metreInk, outlined} from "./overlay.js";
 import {roundLength} from "./units.js";
 
 const APART = 180;  // at most, CSS pixels
@@ -10,8 +10,7 @@ export const gridLayer = {
   name: "grid",
   draw(pen, view) {
     const step = roundLength(APART / view.metre), [x0, y1] = view.toWorld(0, 0);
-    const [x1, y0] = view.toWorld(view.width, view.height), dark = isDark(ground());
-    const ink = dark ? "#a5d8ff" : "#1864ab", {globalAlpha} = pen;
+    const [x1, y0] = view.toWorld(view.width, view.height), ink = metreInk(), {globalAlpha} = pen;
     const line = (at, from, to) => {
       pen.beginPath();
       pen.moveTo(...from); pen.lineTo(...to);

@@ -23,12 +23,15 @@ export function outlined(pen, text, u, v, fillStyle, {size = "12px", halo = grou
   pen.fillText(text, u, v);
 }
 
-// A text beside a point, on the side where there is room for it.
-export function label(pen, text, [u, v], width, colour) {
+// A text beside a point, `below` it or above, on the side where there is room for it.
+export function label(pen, text, [u, v], width, colour, {below = false, halo = free()} = {}) {
   pen.font = FONT;
   const {width: length} = pen.measureText(text);
-  outlined(pen, text, u + 14 + length < width ? u + 10 : u - 10 - length, v - 8, colour, {halo: free()});
+  outlined(pen, text, u + 14 + length < width ? u + 10 : u - 10 - length, v + (below ? 8 : -8), colour, {halo});
 }
+
+// The colour of lines and figures in metres.
+export const metreInk = () => isDark(ground()) ? "#a5d8ff" : "#1864ab";
 
 // The colour of what is drawn by hand.
 export const mark = () => isDark(free()) ? "#ffd43b" : "#c2255c";

@@ -1,12 +1,12 @@
 // What lies under the pointer, or in the middle of the view where there is none, and the point that was clicked.
 import {askJson} from "./ask.js";
+import {FREE_BELOW, OCCUPIED_ABOVE} from "./classes.js";
 import {copy} from "./copying.js";
 import {ground, mark} from "./overlay.js";
 import {state, subscribe} from "./state.js";
 import {element} from "./tables.js";
 
 const EVERY_MS = 80, AGAIN_MS = 500;
-const OCCUPIED = 0.65, FREE = 0.196;
 const coarse = matchMedia("(pointer: coarse)");
 let fingers = coarse.matches;  // kept: to ask for it in each frame costs more than all else that is drawn
 let pointer = null;  // [u, v] on the canvas, CSS pixels
@@ -15,7 +15,7 @@ let timer = 0, asked = 0, shown = 0;
 
 const said = ([x, y]) => `${x.toFixed(3)}, ${y.toFixed(3)}`;
 const meaning = ({known, probability}) =>
-  !known ? "unknown" : probability > OCCUPIED ? "occupied" : probability < FREE ? "free" : "undecided";
+  !known ? "unknown" : probability > OCCUPIED_ABOVE ? "occupied" : probability < FREE_BELOW ? "free" : "undecided";
 
 // By keyboard or with fingers one points with the middle of the view.
 const byMiddle = () => !pointer && (fingers || document.activeElement === element("map"));

@@ -1,7 +1,8 @@
 // The view of the map: Leaflet pans and zooms it, in metres of the map frame; zoom 0 is a pixel a cell.
 const {L} = globalThis;
 export const NATIVE_Z = 16, LEVELS = 6;
-const SIZE = 256, MOST = 256;
+export const SIZE = 256;  // of a tile, pixels
+const MOST = 256;
 
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 export const place = (x, y) => L.latLng(y, x);
