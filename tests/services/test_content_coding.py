@@ -3,12 +3,15 @@
 import gzip
 import json
 import re
+import tracemalloc
 
 import httpx
 import pytest
 
+from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.serving import ready_maps as ready_maps_module
 from ogm_services.mapper.serving.content_coding import MIN_BYTES, accepted, gzipped, is_text
+from ogm_services.mapper.serving.known_hosts import OwnNames
 
 GZIP = {"Accept-Encoding": "gzip"}
 AS_IT_IS = {"Accept-Encoding": "identity"}
@@ -68,6 +71,18 @@ def raw(mapper, path, headers, method="GET"):
 )
 def test_what_is_accepted(given, by_gzip, identity):
     assert accepted(given.encode("latin-1")) == (by_gzip, identity)
+
+
+@pytest.mark.parametrize("read", [accepted, OwnNames().problem], ids=["Accept-Encoding", "Host"])
+def test_headers_of_any_length_are_read_and_none_that_is_long_is_kept(read):
+    tracemalloc.start()
+    try:
+        for number in range(100):
+            assert read(b"gzip;q=0, x%d" % number + b"a" * 50_000)
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < MEBIBYTE
 
 
 @pytest.mark.parametrize("name", ["json", "yaml", "pgm"])

@@ -149,7 +149,8 @@ def _address_in(entry: str) -> str | None:
     bare = re.fullmatch(r"\[([0-9A-Fa-f:.]+)\](?::[0-9]+)?|([0-9.]+):[0-9]+", entry)
     text = entry if bare is None else bare[1] or bare[2]
     try:
-        return str(ipaddress.ip_address(text))
+        # Not its zone, which is of the proxy's machine, and may be any text of any length.
+        return str(ipaddress.ip_address(text.partition("%")[0]))
     except ValueError:
         return None
 

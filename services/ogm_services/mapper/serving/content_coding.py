@@ -18,6 +18,8 @@ _TEXT = re.compile(r"text/|application/([\w.\-]+\+)?(json|yaml|xml)\b|image/x-po
 """Media types of bytes that are as they are; PNG, NPZ and tiles are packed already."""
 _ENTRY = re.compile(r"([!#$%&'*+\-.^_`|~0-9a-z]+)(?:[ \t]*;[ \t]*q=(0(?:\.[0-9]{0,3})?|1(?:\.0{0,3})?))?")
 _REMEMBERED = 256
+_LONGEST_REMEMBERED = 256
+"""Bytes: a browser's has 20 to 40; longer ones are for nobody but to take memory."""
 
 
 class Accepted(NamedTuple):
@@ -37,9 +39,12 @@ def accepted_by(scope: Scope) -> Accepted:
     return accepted(b",".join(lines)) if lines else IDENTITY
 
 
-@lru_cache(_REMEMBERED)
 def accepted(given: bytes) -> Accepted:
     """What an Accept-Encoding takes (RFC 9110, section 12.5.3); entries that are ill-formed say nothing."""
+    return _remembered(given) if len(given) <= _LONGEST_REMEMBERED else _read(given)
+
+
+def _read(given: bytes) -> Accepted:
     weights: dict[str, float] = {}
     for entry in given.decode("latin-1").lower().split(","):
         parts = _ENTRY.fullmatch(entry.strip(" \t"))
@@ -49,6 +54,9 @@ def accepted(given: bytes) -> Accepted:
     identity = weights.get("identity", weights.get("*"))
     wanted = weights.get("identity", 0.0)
     return Accepted(gzip=gzip > 0.0 and gzip >= wanted, identity=identity is None or identity > 0.0)
+
+
+_remembered = lru_cache(_REMEMBERED)(_read)
 
 
 def is_text(media_type: str) -> bool:

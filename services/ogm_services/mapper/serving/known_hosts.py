@@ -20,6 +20,8 @@ from ogm_services.replies.answer import BadHost, ForeignHost
 _HOST = re.compile(rb"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_\-.]+)(?::([0-9]{1,5}))?")
 """Host of RFC 9112, section 3.2, without what no name of the network has in it."""
 _REMEMBERED = 256
+_LONGEST = 300
+"""Bytes of what is remembered: a name of the network has 253 at most."""
 REFUSED = "ogm.refused"
 """Key of a request's scope: the error of what is ill-formed before anything has looked at it."""
 
@@ -40,7 +42,7 @@ class OwnNames:
 
     def problem(self, header: bytes) -> BadHost | ForeignHost | None:
         """What is wrong with a Host header."""
-        return self._judged(header)
+        return self._judged(header) if len(header) <= _LONGEST else self._problem(header)
 
     def _problem(self, header: bytes) -> BadHost | ForeignHost | None:
         shown = header[:MAX_SHOWN].decode("latin-1")
