@@ -56,3 +56,13 @@ def test_what_does_not_add_up_is_refused_in_a_line(parts, args, message):
     assert message in ended.err
     assert len(ended.err.splitlines()) == 1
     assert not (parts.folder / "m.npz").exists()
+
+
+def test_a_map_for_which_there_is_no_memory_is_told_of_in_a_line(parts, monkeypatch):
+    def refused(_):
+        raise MemoryError
+
+    monkeypatch.setattr("ogm_core.files.merged_maps.merge_maps", refused)
+    ended = parts.call("merge", "first/map.npz", "second/map.npz", "-o", "m.npz")
+    assert ended.code == 1
+    assert ended.err == "ogm: the system has no memory left for the merged map\n"

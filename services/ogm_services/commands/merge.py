@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from ogm_core.errors import BadInput
+from ogm_core.errors import BadInput, LimitReached
 from ogm_core.whole_files import check_file, write_files
 from ogm_services.results.written import written
 from ogm_services.runtime.endings import INTERRUPTED
@@ -34,8 +34,11 @@ def merge(
         with loading():
             from ogm_core.files.map_files import encode_npz
             from ogm_core.files.merged_maps import merge_maps
-        merged = merge_maps(maps).finest()
-        content = encode_npz(merged)
+        try:
+            merged = merge_maps(maps).finest()
+            content = encode_npz(merged)
+        except MemoryError as error:
+            raise LimitReached("the system has no memory left for the merged map", "memory") from error
         with written(out, _OUT):
             write_files({out: content})
     size = f"{merged.width} x {merged.height} cells of {merged.resolution:g} m"
