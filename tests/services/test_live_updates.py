@@ -351,6 +351,7 @@ class TestDecoding:
             ({"since": 2**63}, "since: "),
             ({"since": 1.0}, "since: "),
             ({"more": 1}, "more: "),
+            ({"a\nb\x1b\u2028": 1}, "a?b??: "),
         ],
     )
     def test_anything_else_is_refused_and_its_field_named(self, changed, said):

@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ogm_core.cells.value_bytes import COLOURS
-from ogm_core.errors import BadMessage, cut
+from ogm_core.errors import BadMessage, cut, printable
 from ogm_core.files.map_files import DEFAULT_PALETTE
 from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, Square
 from ogm_core.wire.messages import INT_END, unpacked_fields
@@ -71,7 +71,7 @@ def decode_view(payload: bytes) -> View:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"])) or "view"
-        raise BadMessage(f"{cut(place)}: {cut(first['msg'])}") from None
+        raise BadMessage(f"{cut(printable(place))}: {cut(first['msg'])}") from None
     if view.palette not in COLOURS:
         raise BadMessage(f"palette: one of {', '.join(COLOURS)} is needed, got {cut(view.palette)!r}")
     x0, y0, x1, y1 = view.tiles
