@@ -101,6 +101,24 @@ def test_an_area_is_erased_with_a_token_that_is_asked_for_once(changed, token_fi
     assert len(watched.complaints) == 2
 
 
+def test_on_a_phone_the_panel_makes_room_for_the_area(changed, phone, keep, eventually):
+    mapper, watched = changed(**phone)
+    page = watched.page
+    page.locator("#grip").tap()
+    page.get_by_role("button", name="Erase an area").tap()
+    asked = page.locator("#ask")
+    assert asked.locator("p").inner_text() == "Tap the corners of the area to erase, then Done."
+    below, sheet = asked.bounding_box(), page.locator("#panel").bounding_box()
+    assert below["y"] + below["height"] <= sheet["y"]
+    for corner in AROUND_THE_HIT:
+        page.touchscreen.tap(*watched.place(*corner))
+    keep(watched, "erasing-phone")
+    asked.get_by_role("button", name="Done").tap()
+    asked.get_by_role("button", name="Erase", exact=True).tap()
+    eventually(lambda: page.locator("#notice").inner_text() == "Erased 1 known cell.")
+    assert watched.complaints == []
+
+
 def test_an_area_is_drawn_by_keys_alone_and_given_up(changed, eventually):
     mapper, watched = changed()
     page = watched.page

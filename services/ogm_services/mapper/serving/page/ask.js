@@ -8,6 +8,7 @@ export const ask = (path, options = {}) =>
 // What a route says in JSON; an error says which route failed and how.
 export async function askJson(path, options) {
   const reply = await ask(path, options);
+  const text = await reply.text();  // also of a refusal: unread it would keep its connection until the timeout
   if (!reply.ok) throw new Error(`${path.split("?")[0]}: ${reply.status}`);
-  return reply.json();
+  return JSON.parse(text);
 }

@@ -10,6 +10,8 @@ const LEAST = 3, MOST = 64;  // corners
 const SAME_PX = 6;  // corners of a double click
 const HOW = "Click the corners of the area to erase. Enter or a double click ends it, Backspace takes a corner back, " +
   "Escape leaves; Space sets a corner in the middle.";
+const HOW_BY_FINGERS = "Tap the corners of the area to erase, then Done.";
+const fingers = matchMedia("(pointer: coarse)");
 const TOOL = "erase";
 const SURE = "Make everything inside unknown? Only a map that was saved before brings it back.";
 
@@ -56,7 +58,7 @@ export class EraseTool {
 
   #show() {
     element("ask").hidden = !this.#corners;
-    say(this.#text, this.#closed ? SURE : HOW);
+    say(this.#text, this.#closed ? SURE : fingers.matches ? HOW_BY_FINGERS : HOW);
     this.#finish.hidden = this.#closed;
     this.#finish.disabled = (this.#corners?.length ?? 0) < LEAST;
     this.#sure.hidden = !this.#closed;

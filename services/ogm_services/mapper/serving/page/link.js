@@ -46,7 +46,9 @@ export class Link {
       change("quality", quality);
       said = state.map.extent ? {kind: "live", text: "live"} : {kind: "wait", text: "waiting for the first scan"};
     } catch (error) {
-      said = {kind: "bad", text: `no answer from the mapper (${error.message})`};
+      // Browsers have words of their own for what does not arrive: they help nobody.
+      const refused = error instanceof TypeError || error instanceof DOMException ? "" : ` (${error.message})`;
+      said = {kind: "bad", text: `no answer from the mapper${refused}`};
     }
     if (turn !== this.turn) return;  // another one has begun
     const by = said.kind === "bad" ? null : this.live.open ? "push" : "polling";

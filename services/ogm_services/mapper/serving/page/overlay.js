@@ -30,8 +30,8 @@ export function label(pen, text, [u, v], width, colour, {below = false, halo = f
   outlined(pen, text, u + 14 + length < width ? u + 10 : u - 10 - length, v + (below ? 8 : -8), colour, {halo});
 }
 
-// The colour of lines and figures in metres.
-export const metreInk = () => isDark(ground()) ? "#a5d8ff" : "#1864ab";
+// The colour of lines and figures in metres, legible where the ground is neither light nor dark, too.
+export const metreInk = () => isDark(ground()) ? "#a5d8ff" : "#0b3f70";
 
 // The colour of what is drawn by hand.
 export const mark = () => isDark(free()) ? "#ffd43b" : "#c2255c";

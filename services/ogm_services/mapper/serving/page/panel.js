@@ -61,4 +61,5 @@ export function startPanel() {
   });
   element("grip").addEventListener("click", () => open(element("panel").classList.contains("closed")));
   open(!PHONE.matches);
+  subscribe("tool", (tool) => { if (tool && PHONE.matches) open(false); });  // it wants the map
 }
