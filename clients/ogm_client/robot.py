@@ -1,7 +1,6 @@
 """Publisher of a robot: its poses and scans, as Zenoh messages that a mapper integrates."""
 
 import math
-import threading
 import time
 import uuid
 import warnings
@@ -14,28 +13,23 @@ from typing import Self, TypeVar
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.channel import Channel
+from ogm_client.channels import Channels
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
 from ogm_client.heard import not_heard
 from ogm_client.map_client import MapClient
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, is_secured, open_session
-from ogm_client.zenoh_errors import reason
 from ogm_core.errors import BadMessage, BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
-from ogm_core.wire.keys import NAME, MapKeys, check_name
+from ogm_core.wire.keys import MapKeys, check_name
 from ogm_core.wire.values import pose_of, scan_of, stamp_of
 
 _POLL = 0.01
 _UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
 CACHE_SAMPLES = 600
 """Scans of each sensor that a publisher keeps for a mapper that has missed them, unless told otherwise."""
-POSES_A_SCAN = 5
-"""It keeps so many times as many poses: scans that are older than all poses would be of no use."""
 MAX_CACHE_SAMPLES = 100_000
-_MAX_RUNS = 64
-"""So many runs of a publisher are said to be alive: its own, and those of messages that it is given."""
 _DAY_NS = 86_400 * 10**9
 _M = TypeVar("_M")
 
@@ -104,12 +98,7 @@ class RobotPublisher:
         self.robot = check_name(robot, "robot")
         self.run = uuid.uuid4().hex if run is None else check_name(run, "run")
         self._keys = MapKeys(map_name)
-        self._closed = False
         self._warned = False
-        self._congestion = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
-        self._cache_samples = cache_samples
-        self._channels: dict[str, Channel] = {}
-        self._channels_lock = threading.Lock()
         with ExitStack() as opening:
             if session is None:
                 timeout = connect_timeout if wait else CONNECT_TIMEOUT
@@ -120,8 +109,12 @@ class RobotPublisher:
             else:
                 self._where = "on the open session"
                 self._session = session
-            self._runs = {self.run}
-            opening.callback(self._declare_alive(self.run).undeclare)
+            self._channels = Channels(
+                *(self._session, self._keys, self.robot, self.run, self._where),
+                reliable=reliable,
+                cache_samples=cache_samples,
+            )
+            opening.callback(self._channels.close)
             self._open = opening.pop_all()
 
     def publish_pose(self, x: float, y: float, theta: float, stamp: int | None = None) -> None:
@@ -134,7 +127,7 @@ class RobotPublisher:
             ClientError: the publisher or its session is closed.
         """
         pose = pose_of((x, y, theta), "pose")
-        channel = self._pose_channel()
+        channel = self._channels.pose()
         with channel.lock:
             now = time.time_ns() if stamp is None else self._looked_at(stamp_of(stamp))
             channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)), self.run, channel.seq)
@@ -174,7 +167,7 @@ class RobotPublisher:
             BadSetting: `sensor` cannot stand in a key.
             ClientError: the publisher or its session is closed.
         """
-        channel = self._scan_channel(sensor)
+        channel = self._channels.scan(sensor)
         with channel.lock:
             scan = scan_of(
                 ranges,
@@ -200,8 +193,8 @@ class RobotPublisher:
             ClientError: the publisher or its session is closed.
         """
         payload = _pose_payload(message)
-        self._declare_run(message.run)
-        self._pose_channel().put(payload, message.run, message.seq)
+        self._channels.declare_run(message.run)
+        self._channels.pose().put(payload, message.run, message.seq)
 
     def put_scan(self, sensor: str, scan: Scan) -> None:
         """Send a scan message as it is, with the `run` and `seq` that it carries.
@@ -212,8 +205,8 @@ class RobotPublisher:
             ClientError: the publisher or its session is closed.
         """
         payload = _scan_payload(scan)
-        self._declare_run(scan.run)
-        self._scan_channel(sensor).put(payload, scan.run, scan.seq)
+        self._channels.declare_run(scan.run)
+        self._channels.scan(sensor).put(payload, scan.run, scan.seq)
 
     def wait_for_mapper(self, timeout: float = 5.0) -> None:
         """Return once somebody subscribes to this robot's poses; what was published before may be lost.
@@ -225,7 +218,7 @@ class RobotPublisher:
             NobodyAnswered: nobody does in time.
         """
         deadline = time.monotonic() + timeout
-        channel = self._pose_channel()
+        channel = self._channels.pose()
         while not channel.matched:
             if time.monotonic() >= deadline:
                 raise self._nobody(timeout, timeout)
@@ -248,7 +241,7 @@ class RobotPublisher:
             BadReply: the answer is not a mapper's.
             ClientError: the publisher or its session is closed.
         """
-        if self._closed:
+        if self._channels.closed:
             raise ClientError(f"robot {self.robot!r}: the publisher is closed")
         client = MapClient(session=self._session, map_name=self._keys.map_name, timeout=timeout)
         asked = time.monotonic()
@@ -257,23 +250,17 @@ class RobotPublisher:
         except NobodyAnswered as error:
             raise self._nobody(timeout, time.monotonic() - asked) from error
         status = whole.robots.get(self.robot, RobotStatus(None, None))
-        with self._channels_lock:
-            channels = list(self._channels.items())
-        for key, channel in channels:
-            source = self._keys.source_of(key)
-            assert source is not None, key
+        for source, channel in self._channels.declared():
             if channel.sent.unheard(status, source.sensor, whole.uptime_s, time.monotonic()):
                 raise not_heard(source, self._keys.map_name, status)
         return status
 
     def close(self) -> None:
         """Withdraw from the network; a session that was given stays open. Closing twice does nothing."""
-        with self._channels_lock:
-            self._closed = True
         self._open.close()
 
     def __enter__(self) -> Self:
-        if self._closed:
+        if self._channels.closed:
             raise ClientError(f"robot {self.robot!r}: the publisher is closed; make a new one")
         return self
 
@@ -296,43 +283,6 @@ class RobotPublisher:
                     text = f"stamp: {stamp} looks like {unit} since 1970; ns are needed"
                     warnings.warn(text, stacklevel=3)
         return stamp
-
-    def _declare_run(self, run: str) -> None:
-        """Say that a run other than the publisher's own is alive, too, as long as the publisher is."""
-        with self._channels_lock:
-            if run in self._runs or self._closed or len(self._runs) >= _MAX_RUNS or not NAME.fullmatch(run):
-                return
-            self._runs.add(run)
-            self._open.callback(self._declare_alive(run).undeclare)
-
-    def _declare_alive(self, run: str) -> zenoh.LivelinessToken:
-        alive = self._keys.alive("robot", self.robot, run)
-        try:
-            return self._session.liveliness().declare_token(alive)
-        except zenoh.ZError as error:
-            raise ClientError(f"{alive}: not declared {self._where}: {reason(error)}") from error
-
-    def _pose_channel(self) -> Channel:
-        cached = POSES_A_SCAN * self._cache_samples
-        return self._channel(self._keys.pose(self.robot), messages.POSE_SCHEMA, cached)
-
-    def _scan_channel(self, sensor: str) -> Channel:
-        key = self._keys.scan(self.robot, sensor)
-        return self._channel(key, messages.SCAN_SCHEMA, self._cache_samples)
-
-    def _channel(self, key: str, schema: str, cached: int) -> Channel:
-        with self._channels_lock:
-            if self._closed:
-                raise ClientError(f"{key}: the publisher is closed")
-            channel = self._channels.get(key)
-            if channel is None:
-                try:
-                    channel = Channel(self._session, key, schema, self._congestion, cached)
-                except zenoh.ZError as error:
-                    raise ClientError(f"{key}: cannot publish: {reason(error)}") from error
-                self._open.callback(channel.close)
-                self._channels[key] = channel
-        return channel
 
 
 def _pose_payload(message: PoseStamped) -> bytes:
