@@ -15,7 +15,8 @@ from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.types import Pose, PoseStamped, Scan, Sweep
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS, encode_pose, encode_scan
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.message import Message
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.live.live_map import LiveMap
 

@@ -3,7 +3,8 @@
 from functools import partial
 
 from ogm_core.wire.keys import Source
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.message import Message
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.load_metrics import memory_metrics, queue_metrics, ready_metric
 from ogm_services.mapper.serving.metrics import Metrics

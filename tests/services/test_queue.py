@@ -8,7 +8,8 @@ import pytest
 
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake import queue as queue_module
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.message import Message
+from ogm_services.mapper.intake.queue import ScanQueue
 
 A, B, C = Source("a", "s"), Source("b", "s"), Source("a", "t")
 POSE = Source("a", None)

@@ -17,7 +17,8 @@ from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_scan
 from ogm_services.mapper.intake.caches import Account, Caches
 from ogm_services.mapper.intake.handing_on import skipping
-from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, Message, ScanQueue
+from ogm_services.mapper.intake.message import Message
+from ogm_services.mapper.intake.queue import MAX_POSES, MAX_POSES_OF_ROBOT, ScanQueue
 from ogm_services.mapper.intake.reception import Reception
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber

@@ -4,13 +4,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import islice
 
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.largest import Largest
 from ogm_services.mapper.intake.load import Load, RobotLoad
+from ogm_services.mapper.intake.message import Message
 
 MAX_BYTES = 256 * MEBIBYTE
 """Payload that may wait, whatever the number of scans, unless there is less memory."""
@@ -27,29 +27,6 @@ LOOKS = 64
 LOOKS_BYTES = 4 * MEBIBYTE
 MAX_RATES = 2000
 """Robots whose rates are remembered; one that is forgotten is measured anew."""
-
-
-@dataclass(slots=True, eq=False)
-class Message:
-    """A message's payload and where it came from, or a command for the worker."""
-
-    source: Source | None
-    payload: bytes
-    arrival: float
-    """When it came, s of the monotonic clock."""
-    command: Callable[[], None] | None = None
-    cells: float | None = None
-    """How many cells' time a scan will take, more than 0; None as long as nobody has looked."""
-    robot: str | None = None
-    """Whose command it is: it takes the room of one of that robot's poses, and like them is never dropped."""
-    resumed: bool = False
-    """Whether it was missed, or held back, before: it waits for room beside what just comes."""
-    dropped: bool = False
-
-    @property
-    def sender(self) -> str | None:
-        """Whose message or command it is; None of the mapper's own commands."""
-        return self.robot if self.source is None else self.source.robot
 
 
 class ScanQueue:

@@ -9,8 +9,9 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
+from ogm_services.mapper.intake.message import Message
 from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.runtime.limited_log import LimitedLog
 
 log = logging.getLogger(__name__)

@@ -15,8 +15,9 @@ from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import decode_pose, decode_scan
 from ogm_services.mapper.intake.handing_on import Placing
+from ogm_services.mapper.intake.message import Message
 from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.replies.answer import Unavailable
 from ogm_services.runtime.limited_log import LimitedLog
 

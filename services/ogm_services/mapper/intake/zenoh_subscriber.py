@@ -15,8 +15,9 @@ from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 from ogm_services.mapper.intake.in_step import InStep
+from ogm_services.mapper.intake.message import Message
 from ogm_services.mapper.intake.overload import Overload
-from ogm_services.mapper.intake.queue import Message, ScanQueue
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.reception import Reception
 from ogm_services.runtime.limited_log import LimitedLog
 
