@@ -17,8 +17,9 @@ from types import TracebackType
 from typing import NoReturn, Self
 
 import typer
+import zenoh
 
-from ogm_client.session import open_session, resolve_listen
+from ogm_client.session import NetworkConfig, open_session, resolve_listen
 from ogm_core.errors import OgmError
 from ogm_core.grid_settings import GridSettings
 from ogm_core.wire.keys import MapKeys
@@ -261,16 +262,30 @@ class MapperService:
         routes.declare(self.answers, self.parts.writes.by_name(), zenoh_shares)
         _warm_up(self.parts.grid_settings)
         others.serve()
-        # From here on the map changes: what is to outlive the worker, and see its last change, opens before.
+        self._begin_to_map(opening, session, subscriber, routes)
+        self._note_addresses(listener, config)
+        self.parts.ready.set()
+        opening.callback(self.parts.watch.stop)
+        self.parts.watch.start()
+        opening.callback(rest.make_way)
+        rest.start()
+
+    def _begin_to_map(
+        self, opening: ExitStack, session: zenoh.Session, subscriber: ZenohSubscriber, routes: ZenohRoutes
+    ) -> None:
+        """Let the map change: what is to outlive the worker, and see its last change, is open already."""
         opening.callback(self.parts.close)
         self.parts.worker.start()
         opening.callback(self.parts.worker.stop)
         if self.parts.kept_map is not None:
             self.parts.kept_map.keep()
-        self.updates.start(session, keys.updates)
+        self.updates.start(session, MapKeys(self._settings.network.map_name).updates)
         subscriber.declare()
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)
+
+    def _note_addresses(self, listener: socket.socket, config: NetworkConfig) -> None:
+        """Put down where it is asked, for who started it; warn if just anybody may empty the map there."""
         host, port = listener.getsockname()[:2]
         if self._access.token is None and not ipaddress.ip_address(host).is_loopback:
             log.warning(
@@ -279,14 +294,9 @@ class MapperService:
             )
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         self.addresses = [
-            f"map      {network.map_name} on Zenoh at {zenoh_addresses}",
+            f"map      {self._settings.network.map_name} on Zenoh at {zenoh_addresses}",
             f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
         ]
-        self.parts.ready.set()
-        opening.callback(self.parts.watch.stop)
-        self.parts.watch.start()
-        opening.callback(rest.make_way)
-        rest.start()
 
     def _http(self, listener: socket.socket) -> HttpThread:
         parts, measured = self.parts, self.parts.metrics.measurements
