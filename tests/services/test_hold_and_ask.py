@@ -21,6 +21,7 @@ from ogm_services.mapper.intake import held as held_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
 from ogm_services.mapper.intake import robot_hold
 from ogm_services.mapper.intake.caches import Answer, Caches
+from ogm_services.mapper.intake.held_source import SILENCE
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 
 KEYS = MapKeys("hall")
@@ -537,16 +538,16 @@ def test_a_source_that_is_silent_is_asked(started, recorder, cache, asked, event
     publisher.put(scan(1))
     take(started, scan(0))  # the last one was missed
     now = time.monotonic()
-    started.look(now + robot_hold.SILENCE - 1.0)
+    started.look(now + SILENCE - 1.0)
     assert recorder.seqs() == [0]
-    started.look(now + robot_hold.SILENCE + 1.0)
+    started.look(now + SILENCE + 1.0)
     eventually(lambda: recorder.seqs() == [0, 1])
     before = len(asked)
-    started.look(now + robot_hold.SILENCE + 2.0)  # it has just been asked
-    started.look(now + 2.0 * robot_hold.SILENCE + 3.0)
+    started.look(now + SILENCE + 2.0)  # it has just been asked
+    started.look(now + 2.0 * SILENCE + 3.0)
     assert len(asked) == before
     publisher.put(scan(2))
-    started.look(now + 4.0 * robot_hold.SILENCE)
+    started.look(now + 4.0 * SILENCE)
     eventually(lambda: recorder.seqs() == [0, 1, 2])
 
 

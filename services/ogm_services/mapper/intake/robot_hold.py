@@ -4,7 +4,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Set
-from dataclasses import dataclass, field
 
 from ogm_core.placing.rules import MAX_SENSORS
 from ogm_core.wire.keys import Source
@@ -12,31 +11,13 @@ from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
 from ogm_services.mapper.intake.handing_on import Decided, Intake
 from ogm_services.mapper.intake.held import Held, HeldBytes, HeldMessages
+from ogm_services.mapper.intake.held_source import HeldSource
 from ogm_services.mapper.intake.numbering import Numbering, Standing
 
-SILENCE = 5.0
-"""A source that has a cache and is silent for so long is asked, s; then after twice the time, and so on."""
-MOST_SILENCE = 60.0
 AWAY = 10.0
 """A robot whose caches go may come back within that, s: its scans wait for their poses meanwhile."""
 _COUNTED = 10_000
 """So many missing ones are looked at, whether they were decided; more are all missing."""
-
-
-@dataclass(slots=True, eq=False)
-class _Source:
-    numbering: Numbering
-    heard: float
-    """When it was heard last, s."""
-    caches: set[str] = field(default_factory=set)
-    """Those whose tokens are there."""
-    had_cache: bool = False
-    asked: float = 0.0
-    """When it was asked because it was silent, s."""
-    patience: float = SILENCE
-    """How long it may then be silent until it is asked again, s."""
-    none_of: str | None = None
-    """A run of which no cache keeps anything: what is missing of it is lost at once."""
 
 
 class RobotHold:
@@ -64,7 +45,7 @@ class RobotHold:
         self._held = HeldMessages(held_bytes)
         self.is_held = False
         """Whether what comes is kept."""
-        self._sources: dict[str | None, _Source] = {}
+        self._sources: dict[str | None, HeldSource] = {}
         self._back = 0.0
         """Until when it may come back, s, if its caches have gone."""
         self._changed = 0.0
@@ -89,14 +70,14 @@ class RobotHold:
                 self.is_held = True
                 self._decided.wait_on(self.name, math.inf)
 
-    def source(self, sensor: str | None, now: float) -> _Source | None:
+    def source(self, sensor: str | None, now: float) -> HeldSource | None:
         """What is known of a source; None if it is one sensor too many."""
         known = self._sources.get(sensor)
         if known is None:
             with self.lock:
                 if sensor is None or sum(name is not None for name in self._sources) < MAX_SENSORS:
                     numbering = Numbering(lambda run: self._decided.last(self.name, sensor, run))
-                    known = self._sources.setdefault(sensor, _Source(numbering, now))
+                    known = self._sources.setdefault(sensor, HeldSource(numbering, now))
         return known
 
     def take_next(self, source: Source, payload: bytes, now: float) -> bool:
@@ -171,10 +152,7 @@ class RobotHold:
         """Whether a source that has a cache is silent for so long that it is to be asked."""
         silent = False
         for known in list(self._sources.values()):
-            patience = SILENCE if known.heard > known.asked else known.patience
-            if known.caches and now - max(known.heard, known.asked) > patience:
-                known.asked, known.patience = now, min(2.0 * patience, MOST_SILENCE)
-                silent = True
+            silent |= known.too_silent(now)
         return silent
 
     def wanted(self, source: Source, run: str) -> int | None:
@@ -300,7 +278,7 @@ class RobotHold:
                     return
                 self._held.pop()
 
-    def _handed_on(self, known: _Source, item: Held, *, forced: bool = False) -> bool:
+    def _handed_on(self, known: HeldSource, item: Held, *, forced: bool = False) -> bool:
         """Hand on a message that came by itself, unless others are missing before it; `forced`: even then."""
         source, numbering = item.source, known.numbering
         if item.head is None:
