@@ -72,9 +72,13 @@ class AsyncMapClient:
     delete_snapshot = _awaited(MapClient.delete_snapshot)
 
     @asynccontextmanager
-    async def follow(self, *, interval: float = DEFAULT_INTERVAL) -> AsyncIterator["AsyncMapFollower"]:
+    async def follow(
+        self, *, interval: float = DEFAULT_INTERVAL, coarse: bool = False
+    ) -> AsyncIterator["AsyncMapFollower"]:
         """Follow the map, as `MapClient.follow`: `async with mapper.follow() as follower`."""
-        follower = await self._opened_in_thread(partial(self._opened.follow, interval=interval))
+        follower = await self._opened_in_thread(
+            partial(self._opened.follow, interval=interval, coarse=coarse)
+        )
         try:
             yield AsyncMapFollower(follower, self._in_thread)
         finally:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.halves import halved
-from ogm_core.cells.model import Planes
+from ogm_core.cells.model import Known, Planes, Probability
 from ogm_core.cells.rate import PLANES, Rate, RateHalves, log_odds_of
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE
@@ -15,7 +15,7 @@ from ogm_core.tiles.store import TILE
 MODEL = "rate"
 """What such a model calls itself on the wire."""
 PER_CELL = 2
-"""Served cells along a side of one that is counted in."""
+"""Served cells along a side of one that is counted in, unless those themselves are asked for."""
 SPREAD = Rate.spread
 """Cells around a tile whose probability depends on it."""
 
@@ -24,24 +24,33 @@ Tiles = Mapping[Place, Mapping[str, NDArray[Any]]]
 
 
 def lay_out_counts(
-    tiles: Tiles, stale: Iterable[Place], extent: CellRect, log_odds: NDArray[np.float32]
+    tiles: Tiles, stale: Iterable[Place], extent: CellRect, log_odds: NDArray[np.float32], per_cell: int
 ) -> None:
     """Put the log odds of tiles and of the cells around them where they lie in a map of this extent.
 
-    As /map.npz has them: cells half as wide, NaN where unknown; what juts out is left out.
+    As /map.npz has them: cells half as wide, or with 1 `per_cell` those that are counted in; NaN where
+    unknown; what juts out is left out.
     """
     for tx, ty in stale:
         part = CellRect(tx * TILE, ty * TILE, TILE, TILE).widened(SPREAD).intersection(extent)
         if not part.cells:
             continue
-        planes = window(tiles, part.widened(SPREAD))
-        # Of the two cells more at every side, four halves, three are looked at.
-        rows, columns = (
-            slice(1, PER_CELL * (length + 2 * SPREAD) - 1) for length in (part.height, part.width)
-        )
-        y, x = PER_CELL * (part.iy - extent.iy), PER_CELL * (part.ix - extent.ix)
-        served = log_odds_of(*RateHalves().published(halved(planes, rows, columns)))
+        served = log_odds_of(*(_cells(tiles, part) if per_cell == 1 else _halves(tiles, part)))
+        y, x = per_cell * (part.iy - extent.iy), per_cell * (part.ix - extent.ix)
         log_odds[y : y + served.shape[0], x : x + served.shape[1]] = served
+
+
+def _cells(tiles: Tiles, part: CellRect) -> tuple[Probability, Known]:
+    """What is published of cells that are counted in."""
+    return Rate().published(window(tiles, part.widened(Rate.margin)))
+
+
+def _halves(tiles: Tiles, part: CellRect) -> tuple[Probability, Known]:
+    """What is published of their halves."""
+    planes = window(tiles, part.widened(SPREAD))
+    # Of the two cells more at every side, four halves, three are looked at.
+    rows, columns = (slice(1, PER_CELL * (length + 2 * SPREAD) - 1) for length in (part.height, part.width))
+    return RateHalves().published(halved(planes, rows, columns))
 
 
 def window(tiles: Tiles, rect: CellRect) -> Planes:

@@ -38,13 +38,17 @@ class MapFollower(FollowedMap):
     that is started anew. Any thread may call the methods.
     """
 
-    def __init__(self, transport: Transport, max_bytes: int, interval: float) -> None:
+    def __init__(
+        self, transport: Transport, max_bytes: int, interval: float, *, coarse: bool = False
+    ) -> None:
         """Take the map, which takes `max_bytes` at most; where nothing is told, ask every `interval` s.
+
+        `coarse`: as `MapClient.follow` takes it.
 
         Raises:
             ClientError: as every request.
         """
-        super().__init__(MapCopy(max_bytes))
+        super().__init__(MapCopy(max_bytes, coarse=coarse))
         self._transport = transport
         self._interval = interval
         self._heard: deque[bytes] = deque(maxlen=_MAX_HEARD)

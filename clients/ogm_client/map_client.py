@@ -123,7 +123,7 @@ class MapClient(MapQueries):
         """The cell at the point (x, y), m: `{x, y, ix, iy, known, log_odds, probability}`."""
         return json_object("cell", self.fetch("cell", x=x, y=y))
 
-    def follow(self, *, interval: float = DEFAULT_INTERVAL) -> MapFollower:
+    def follow(self, *, interval: float = DEFAULT_INTERVAL, coarse: bool = False) -> MapFollower:
         """Follow the map: a copy that is kept up to date by what changes, and says what that is.
 
             with mapper.follow() as follower:
@@ -132,13 +132,14 @@ class MapClient(MapQueries):
 
         The copy's tiles may take `max_bytes`. Over Zenoh the mapper tells what changes, within a tenth of a
         second; over HTTP it is asked every `interval` seconds, and so it is where access control keeps that
-        from being heard.
+        from being heard. `coarse`: of a map that counts, cells as wide as its mapper was told, which it
+        counts in, not their halves.
 
         Raises:
             BadParameter: the interval is not a positive number.
         """
         _check_interval(interval)
-        return MapFollower(self._transport, self._max_bytes, interval)
+        return MapFollower(self._transport, self._max_bytes, interval, coarse=coarse)
 
     def watch(
         self, interval: float = DEFAULT_INTERVAL, patience: float = DEFAULT_PATIENCE

@@ -40,9 +40,12 @@ class Taken(Enum):
 class MapCopy:
     """The tiles of a map at one revision, as its mapper keeps them. One thread writes and reads at a time."""
 
-    def __init__(self, max_bytes: int) -> None:
-        """All tiles together may take `max_bytes`, and so may the log odds that are read."""
-        self._max_bytes = max_bytes
+    def __init__(self, max_bytes: int, *, coarse: bool = False) -> None:
+        """All tiles together may take `max_bytes`, and so may the log odds that are read.
+
+        `coarse`: of a map that counts, these are of the cells that it counts in, not of their halves.
+        """
+        self._max_bytes, self._coarse = max_bytes, coarse
         self.newest: MapUpdate | None = None
         """The last update that was applied."""
         self._tiles: dict[Place, dict[str, NDArray[Any]]] = {}
@@ -126,11 +129,11 @@ class MapCopy:
             shape = extent.height * per_cell, extent.width * per_cell
             self._shown, self._shown_of = np.full(shape, np.nan, np.float64 if exact else np.float32), extent
             self._stale = set(self._tiles)
-        if per_cell == 1:
+        if self._counts:
+            lay_out_counts(self._tiles, self._stale, extent, self._shown, per_cell)
+        else:
             for place in self._stale:
                 _lay_out(self._tiles[place][PLANE], place, newest, self._shown)
-        else:
-            lay_out_counts(self._tiles, self._stale, extent, self._shown)
         self._stale.clear()
         return MapGrid(
             log_odds=self._shown.copy(),
@@ -146,12 +149,16 @@ class MapCopy:
     @property
     def spread(self) -> int:
         """How many cells around a changed tile may have changed with it."""
-        return 0 if self._per_cell == 1 else SPREAD
+        return SPREAD if self._counts else 0
 
     @property
     def _per_cell(self) -> int:
         """How many cells of `grid` lie along a side of one of the map's."""
-        return PER_CELL if self.newest is not None and self.newest.model["name"] == MODEL else 1
+        return PER_CELL if self._counts and not self._coarse else 1
+
+    @property
+    def _counts(self) -> bool:
+        return self.newest is not None and self.newest.model["name"] == MODEL
 
     def _check_size(self, parts: list[MapUpdate]) -> None:
         first = parts[0]

@@ -32,24 +32,26 @@ def message(snapshot, since=None):
     return told
 
 
-def test_a_copy_is_the_map_that_is_served_after_every_change():
+@pytest.mark.parametrize("coarse", [False, True])
+def test_a_copy_is_the_map_that_is_served_after_every_change(coarse):
     rng = np.random.default_rng(5)
     grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate()), "e", "r")
-    copy, x, y, since = MapCopy(MUCH), 0.0, 0.0, None
+    copy, x, y, since = MapCopy(MUCH, coarse=coarse), 0.0, 0.0, None
     for stamp in range(12):
         grid.integrate(scan_at(stamp, rng), Pose(x, y, rng.uniform(-4.0, 4.0)))
         x, y = x - rng.uniform(0.0, 6.0), y + rng.normal(0.0, 3.0)
         snapshot = grid.snapshot()
         assert copy.take(message(snapshot, since)) is Taken.APPLIED
         since = snapshot.revision
-        expected, found = MapGrid.from_snapshot(snapshot.finest()), copy.grid()
+        served = snapshot if coarse else snapshot.finest()
+        expected, found = MapGrid.from_snapshot(served), copy.grid()
         # The mapper's are made by compiled code, which may round the last bit otherwise.
         np.testing.assert_allclose(found.log_odds, expected.log_odds, rtol=2e-7, strict=True)
         np.testing.assert_array_equal(found.occupancy, expected.occupancy)
         for name in ("resolution", "anchor", "offset", "epoch", "run", "revision", "stamp"):
             assert getattr(found, name) == getattr(expected, name)
-    assert found.resolution == 0.125
-    assert found.offset[0] < -128
+    assert found.resolution == (0.25 if coarse else 0.125)
+    assert found.offset[0] < (-64 if coarse else -128)
     assert (found.occupancy == 100).any()
 
 

@@ -90,7 +90,8 @@ def occupancy(payload):
 
 def shown_map(mapper):
     """The map as the mapper itself tells it to ROS."""
-    said = mapper.http.get("/map.json", params={"values": "trinary"}).raise_for_status().json()
+    asked = {"values": "trinary", "resolution": "coarse"}
+    said = mapper.http.get("/map.json", params=asked).raise_for_status().json()
     return np.array(said["data"], np.int8).reshape(said["height"], said["width"]), said
 
 
@@ -153,6 +154,21 @@ def test_the_map_is_the_mappers_cell_for_cell_and_again_when_it_changes(mapper, 
     mapper.scan([5.0], at=9, pose=[0.25, 0.25, 0.0])
     wider = viewer.next("/map", lambda payload: occupancy(payload)[0].shape != cells.shape)
     np.testing.assert_array_equal(occupancy(wider)[0], shown_map(mapper)[0])
+
+
+def test_a_map_that_counts_has_the_cells_that_its_mapper_was_told(start_mapper):
+    with (
+        start_mapper(map={"resolution": 0.5, "cell_model": "rate"}) as mapper,
+        bridged(mapper.endpoint) as url,
+        viewing(url) as viewer,
+    ):
+        mapper.draw_cross()
+        viewer.subscribe("/map")
+        cells, resolution, origin, _ = occupancy(viewer.next("/map"))
+        expected, said = shown_map(mapper)
+        np.testing.assert_array_equal(cells, expected)
+        assert {-1, 0, 100} == set(np.unique(cells).tolist())
+        assert (resolution, origin) == (0.5, (said["origin"]["x"], said["origin"]["y"]))
 
 
 def test_a_map_that_is_reset_is_unknown_where_it_was_known(mapper, viewer):

@@ -147,6 +147,21 @@ def test_fetched_maps_are_those_of_the_mapper(mapper):
     assert set(fetch.trinary().data.ravel().tolist()) == {-1, 0, 100}
 
 
+def test_of_a_map_that_counts_the_cells_are_those_that_the_mapper_was_told(start_mapper):
+    with start_mapper(map={"resolution": 0.5, "cell_model": "rate"}) as mapper:
+        fetch = MapFetch(mapper.session, "hall", "site")
+        assert fetch.without_cells().resolution == 0.5
+        mapper.draw_cross()
+        for values, found in (("trinary", fetch.trinary()), ("percent", fetch.probabilities())):
+            asked = {"values": values, "resolution": "coarse"}
+            said = mapper.http.get("/map.json", params=asked).raise_for_status().json()
+            assert found.data.ravel().tolist() == said["data"]
+            assert found.data.shape == (said["height"], said["width"])
+            assert (found.resolution, list(found.origin)) == (0.5, [said["origin"]["x"], said["origin"]["y"]])
+        fine = mapper.http.get("/map.json").json()
+        assert (fine["resolution"], fine["width"]) == (0.25, 2 * found.data.shape[1])
+
+
 @pytest.fixture
 def publisher(mapper, network, monkeypatch):
     """`publisher(...)` starts one on rmw_zenoh and the bridge."""

@@ -1,4 +1,7 @@
-"""Map channel: the newest map as viewers draw it, for as long as one of them looks."""
+"""Map channel: the newest map as viewers draw it, for as long as one of them looks.
+
+Of a map that counts it has the cells that the mapper was told, as a ROS topic has.
+"""
 
 import logging
 import threading
@@ -69,7 +72,7 @@ class MapChannel:
                 self._subscribed.clear()
                 continue
             try:
-                with self._client.follow(interval=PERIOD) as follower:
+                with self._client.follow(interval=PERIOD, coarse=True) as follower:
                     self._show(follower)
             except (CannotConnect, NobodyAnswered):
                 pass  # whoever asks for the status says so

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import orjson
@@ -20,6 +20,8 @@ from ogm_core.ros2.cdr import OccupancyGrid
 
 TIMEOUT = 10.0
 """How long an answer may take, s: a large map comes over a slow link."""
+_COARSE: Final = {"resolution": "coarse"}
+"""Of a map that counts the cells that its mapper was told, as map.pgm has them, not their halves."""
 _PGM = re.compile(rb"P5\n(?:#[^\n]*\n)*(\d{1,9}) (\d{1,9})\n255\n")
 _EMPTY = "map-empty"
 _CELLS = np.array(
@@ -90,7 +92,7 @@ class MapFetch:
         return self._grid(said, cells[:0, :0])
 
     def _json(self) -> tuple[Mapping[str, Any], NDArray[np.int8]]:
-        payload = self._transport.fetch("map.json", {})
+        payload = self._transport.fetch("map.json", _COARSE)
         try:
             said = orjson.loads(payload)
             cells = np.array(said["data"], np.int8).reshape(said["height"], said["width"])
