@@ -102,7 +102,7 @@ def test_an_area_is_erased_with_a_token_that_is_asked_for_once(changed, token_fi
 
 
 def test_on_a_phone_the_panel_makes_room_for_the_area(changed, phone, keep, eventually):
-    mapper, watched = changed(**phone)
+    _, watched = changed(**phone)
     page = watched.page
     page.locator("#grip").tap()
     page.get_by_role("button", name="Erase an area").tap()
@@ -110,6 +110,7 @@ def test_on_a_phone_the_panel_makes_room_for_the_area(changed, phone, keep, even
     assert asked.locator("p").inner_text() == "Tap the corners of the area to erase, then Done."
     below, sheet = asked.bounding_box(), page.locator("#panel").bounding_box()
     assert below["y"] + below["height"] <= sheet["y"]
+    assert page.locator("#readout").is_hidden()
     for corner in AROUND_THE_HIT:
         page.touchscreen.tap(*watched.place(*corner))
     keep(watched, "erasing-phone")

@@ -108,6 +108,19 @@ def test_two_fingers_zoom_the_map_and_not_the_page(lab, look, phone, eventually)
     assert watched.complaints == []
 
 
+def test_on_a_phone_that_lies_all_buttons_are_in_sight(lab, look, phone, keep):
+    watched = look(lab, **{**phone, "size": phone["size"][::-1]})
+    watched.open()
+    height = watched.page.evaluate("() => innerHeight")
+    boxes = [button.bounding_box() for button in watched.page.locator("#tools button:visible").all()]
+    assert len(boxes) == 8
+    assert min(min(box["width"], box["height"]) for box in boxes) >= 41.9
+    # The scale is legible below them.
+    assert max(box["y"] + box["height"] for box in boxes) <= height - 36
+    keep(watched, "lab-phone-lying")
+    assert watched.complaints == []
+
+
 def test_measuring_three_four_five(watched, eventually):
     page = watched.page
     page.keyboard.press("m")

@@ -130,3 +130,33 @@ INK = """async () => {
   pen.fillStyle = "hsl(20 85% 40%)";
   return pen.fillStyle;
 }"""
+
+
+NAMES = """async () => {
+  const {namesLayer} = await MODULE, said = [], robot = (x, y) => ({pose: [x, y, 0], alive: true});
+  const pen = {
+    measureText: (text) => ({width: 7 * text.length}), strokeText() {}, fillText: (text) => said.push(text),
+  };
+  const before = ogm.state.robots, view = {width: 900, toCanvas: (x, y) => [60 * x, 60 * y]};
+  ogm.state.robots = {a: robot(0, 0), b: robot(0.1, 0), c: robot(5, 0), d: robot(0, 1)};
+  for (ogm.state.followed of [null, "b"]) namesLayer.draw(pen, view);
+  Object.assign(ogm.state, {robots: before, followed: null});
+  return said;
+}"""
+
+
+def test_of_names_that_would_lie_over_each_other_one_is_drawn(lab, look):
+    watched = look(lab)
+    watched.open()
+    drawn = watched.page.evaluate(NAMES.replace("MODULE", module("overlay")))
+    assert drawn == ["a", "c", "d", "b", "c", "d"]
+
+
+def test_what_is_small_keeps_two_digits(lab, look):
+    watched = look(lab)
+    watched.open()
+    said = watched.page.evaluate(
+        f"async () => {{ const {{area, metresBy}} = await {module('units')};"
+        " return [area(0), area(0.0025), area(0.96), area(12.34), metresBy(0.05, 20)]; }"
+    )
+    assert said == ["0.0 m²", "0.0025 m²", "0.96 m²", "12.3 m²", "0.05 × 20.0 m"]

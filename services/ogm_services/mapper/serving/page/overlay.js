@@ -2,7 +2,7 @@
 import {colourOf, present} from "./robots.js";
 import {state} from "./state.js";
 
-const FONT = "600 12px system-ui, sans-serif";
+const FONT = "600 12px system-ui, sans-serif", LINE = 12;
 
 const colourFor = (meaning, otherwise) => state.map?.legend?.[state.palette]?.[meaning] ?? otherwise;
 export const ground = () => colourFor("unknown", "#cdcdcd");
@@ -23,11 +23,16 @@ export function outlined(pen, text, u, v, fillStyle, {size = "12px", halo = grou
   pen.fillText(text, u, v);
 }
 
-// A text beside a point, `below` it or above, on the side where there is room for it.
-export function label(pen, text, [u, v], width, colour, {below = false, halo = free()} = {}) {
+// Where a text beside a point begins, on the side where there is room for it, and how long it is.
+function beside(pen, text, u, width) {
   pen.font = FONT;
   const {width: length} = pen.measureText(text);
-  outlined(pen, text, u + 14 + length < width ? u + 10 : u - 10 - length, v + (below ? 8 : -8), colour, {halo});
+  return {from: u + 14 + length < width ? u + 10 : u - 10 - length, length};
+}
+
+// A text beside a point, `below` it or above.
+export function label(pen, text, [u, v], width, colour, {below = false, halo = free()} = {}) {
+  outlined(pen, text, beside(pen, text, u, width).from, v + (below ? 8 : -8), colour, {halo});
 }
 
 // The colour of lines and figures in metres, legible where the ground is neither light nor dark, too.
@@ -64,6 +69,13 @@ export const robotsLayer = {
 export const namesLayer = {
   name: "names",
   draw(pen, view) {
-    for (const name of placed()) label(pen, name, view.toCanvas(...state.robots[name].pose), view.width, inkOf(name));
+    const taken = [];
+    // Of names that would lie over each other one is legible, that of a followed robot first.
+    for (const name of placed().sort((one, other) => (other === state.followed) - (one === state.followed))) {
+      const [u, v] = view.toCanvas(...state.robots[name].pose), {from, length} = beside(pen, name, u, view.width);
+      if (taken.some((it) => Math.abs(it.v - v) < LINE && from < it.from + it.length && it.from < from + length)) continue;
+      taken.push({from, length, v});
+      label(pen, name, [u, v], view.width, inkOf(name));
+    }
   },
 };

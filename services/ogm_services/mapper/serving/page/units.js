@@ -1,11 +1,13 @@
 // Figures as texts.
 
 export const percent = (share) => share === null ? "none" : `${(100 * share).toFixed(1)} %`;
-export const area = (value) => `${value.toFixed(1)} m²`;
+// To a tenth; what is small keeps two digits.
+const short = (value) => value > 0 && value < 1 ? String(Number(value.toPrecision(2))) : value.toFixed(1);
+export const area = (value) => `${short(value)} m²`;
 export const whole = (count) => count.toLocaleString("en");
 export const counted = (count, thing) => `${whole(count)} ${thing}${count === 1 ? "" : "s"}`;
 export const perSecond = (rate, what = "") => `${rate.toFixed(rate < 10 ? 1 : 0)} ${what}/s`;
-export const metresBy = (width, height) => `${width.toFixed(1)} × ${height.toFixed(1)} m`;
+export const metresBy = (width, height) => `${short(width)} × ${short(height)} m`;
 export const bits = (value) => `${value.toFixed(3)} bits`;
 
 export function duration(seconds) {
