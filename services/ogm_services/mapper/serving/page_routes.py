@@ -9,8 +9,12 @@ from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 
 from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.status import GONE_AFTER
+from ogm_core.tiles.polygon import MAX_POINTS
+from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, PIXELS
 from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.handlers import add_get
+from ogm_services.mapper.serving.live_view import MAX_VIEW_TILES
 from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 
 STATIC_PATH = "/static/{version}/{name}"
@@ -27,9 +31,18 @@ _FROM_PYTHON: Mapping[str, Mapping[str, object]] = {
         "ON_ROBOTS": ON_ROBOTS_MEANS,
         "HINT": HINT_HELPS,
     },
-    "classes.js": {"FREE_BELOW": FREE_BELOW, "OCCUPIED_ABOVE": OCCUPIED_ABOVE},
+    "constants.js": {
+        "FREE_BELOW": FREE_BELOW,
+        "OCCUPIED_ABOVE": OCCUPIED_ABOVE,
+        "GONE_AFTER_S": GONE_AFTER,
+        "LEVELS": NATIVE_Z - LEAST_Z,
+        "NATIVE_Z": NATIVE_Z,
+        "SIZE": PIXELS,
+        "MAX_VIEW_TILES": MAX_VIEW_TILES,
+        "MAX_CORNERS": MAX_POINTS,
+    },
 }
-"""Modules of the page that are no files: words of `ogm status`, and what a probability means."""
+"""Modules of the page that are no files: words of `ogm status`, and constants that the mapper goes by."""
 PAGE_HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "

@@ -1,6 +1,7 @@
 // The one canvas that shows the map, drawn in one frame whenever something of it has changed.
+import {LEVELS, NATIVE_Z, SIZE} from "./constants.js";
 import {state} from "./state.js";
-import {NATIVE_Z, LEVELS, SIZE, tilesOf} from "./view.js";
+import {tilesOf} from "./view.js";
 
 export class MapCanvas {
   constructor(view, tiles) {

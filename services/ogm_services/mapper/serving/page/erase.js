@@ -1,12 +1,13 @@
 // Erasing an area: corners are clicked, or set in the middle of the view by Space; the polygon is shown, and asked about.
 import {write} from "./access.js";
 import {tell} from "./banner.js";
+import {MAX_CORNERS} from "./constants.js";
 import {button, make, say} from "./elements.js";
 import {change, subscribe} from "./state.js";
 import {element} from "./tables.js";
 import {counted} from "./units.js";
 
-const LEAST = 3, MOST = 64;  // corners
+const LEAST = 3;  // corners
 const SAME_PX = 6;  // corners of a double click
 const HOW = "Click the corners of the area to erase. Enter or a double click ends it, Backspace takes a corner back, " +
   "Escape leaves; Space sets a corner in the middle.";
@@ -66,7 +67,7 @@ export class EraseTool {
   }
 
   #add(x, y) {
-    if (!this.#corners || this.#closed || this.#corners.length === MOST) return;
+    if (!this.#corners || this.#closed || this.#corners.length === MAX_CORNERS) return;
     const last = this.#corners.at(-1);
     // The second click of a double click sets no corner.
     if (last && Math.hypot(x - last[0], y - last[1]) * this.#view.now().metre < SAME_PX) return;

@@ -1,5 +1,5 @@
 // The view in the page's address, as #z/x/y: z as of tiles (16: a pixel a cell), x and y of the middle in metres.
-import {LEVELS, NATIVE_Z} from "./view.js";
+import {LEVELS, NATIVE_Z} from "./constants.js";
 
 export function viewIn(hash) {
   const parts = hash.replace(/^#/, "").split("/").map((part) => part.trim() === "" ? NaN : Number(part));

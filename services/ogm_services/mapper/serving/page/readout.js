@@ -1,6 +1,6 @@
 // What lies under the pointer, or in the middle of the view where there is none, and the point that was clicked.
 import {askJson} from "./ask.js";
-import {FREE_BELOW, OCCUPIED_ABOVE} from "./classes.js";
+import {FREE_BELOW, OCCUPIED_ABOVE} from "./constants.js";
 import {copy} from "./copying.js";
 import {ground, mark} from "./overlay.js";
 import {state, subscribe} from "./state.js";

@@ -1,8 +1,8 @@
 // Robots by name: which are there, and which colour each has, the same in the panel and on the map.
+import {GONE_AFTER_S} from "./constants.js";
 import {state} from "./state.js";
 
 const SILENT_AFTER_S = 5;  // one that says nothing for so long is shown grey
-const GONE_AFTER_S = 60;  // a robot that is not alive leaves so long after its last message
 
 const known = () => Object.keys({...state.status?.robots, ...state.robots}).sort();
 

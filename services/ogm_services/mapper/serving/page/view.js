@@ -1,8 +1,7 @@
 // The view of the map: Leaflet pans and zooms it, in metres of the map frame; zoom 0 is a pixel a cell.
+import {LEVELS, MAX_VIEW_TILES, NATIVE_Z, SIZE} from "./constants.js";
+
 const {L} = globalThis;
-export const NATIVE_Z = 16, LEVELS = 6;
-export const SIZE = 256;  // of a tile, pixels
-const MOST = 256;
 
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 export const place = (x, y) => L.latLng(y, x);
@@ -68,7 +67,7 @@ export class View {
   }
 }
 
-// The tiles that a view shows, and `margin` more around: their z, and the first and last of x and y. At most MOST:
+// The tiles that a view shows, and `margin` more around: their z, and the first and last of x and y. At most MAX_VIEW_TILES:
 // on a large screen they are shown smaller than pixel by pixel.
 export function tilesOf(view, ratio, margin = 0) {
   const {zoom, width, height, left, top} = view;
@@ -77,7 +76,7 @@ export function tilesOf(view, ratio, margin = 0) {
     const side = SIZE * 2 ** (zoom - level), last = level === -LEVELS;
     const x0 = Math.floor(left / side) - margin, x1 = Math.ceil((left + width) / side) - 1 + margin;
     const y0 = Math.floor(top / side) - margin, y1 = Math.ceil((top + height) / side) - 1 + margin;
-    if (last || (x1 - x0 + 1) * (y1 - y0 + 1) <= MOST) return {z: NATIVE_Z + level, side, x0, x1, y0, y1};
+    if (last || (x1 - x0 + 1) * (y1 - y0 + 1) <= MAX_VIEW_TILES) return {z: NATIVE_Z + level, side, x0, x1, y0, y1};
   }
 }
 

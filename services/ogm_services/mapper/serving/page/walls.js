@@ -1,8 +1,8 @@
 // Where the walls are: the region that holds the occupied cells, but for stray ones, by overviews of the map.
 import {ask} from "./ask.js";
-import {LEVELS, NATIVE_Z} from "./view.js";
+import {LEVELS, NATIVE_Z, SIZE} from "./constants.js";
 
-const SIZE = 256, TILES = 6;  // at most so many are looked at
+const TILES = 6;  // at most so many are looked at
 const STRAY = 0.005;  // so small a share of the occupied pixels may lie beyond each side
 const ROOM = 0.05;  // of the region, beyond each side, for walls that were taken for stray cells
 
