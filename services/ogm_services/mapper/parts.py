@@ -20,6 +20,7 @@ from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.in_step import InStep
 from ogm_services.mapper.intake.overload import Overload
@@ -116,12 +117,7 @@ class Parts:
             *(limits.queue_scans, sizes.cells, limits.queue_bytes), dropping=lambda *message: skip(*message)
         )
         """Zenoh's threads put, the worker takes."""
-        self.metrics = Metrics(
-            partial(queue_metrics, queue),
-            partial(memory_metrics, self.memory),
-            lambda: ready_metric(self.health),
-            lambda: () if self.kept_map is None else store_metrics(self.kept_map),
-        )
+        self.metrics = self._metrics()
         """Any thread."""
         measured = self.metrics.measurements
         sink = TimedSink(self.live_map, measured.integration.observe)
@@ -150,15 +146,26 @@ class Parts:
             kept.go_on(self.live_map, grid_settings, self.run, placer)
         self.in_step = InStep(placer.recent_robots()) if robot_rules else None
         """Any thread; None where the order between robots does not matter."""
-        self.worker = Worker(
-            *(queue, placer, self.receipts),
-            max_beams=limits.beams,
+        self.worker = self._worker(settings, malformed=skip)
+        """A thread, which alone writes the map."""
+
+    def _metrics(self) -> Metrics:
+        return Metrics(
+            partial(queue_metrics, self.queue),
+            partial(memory_metrics, self.memory),
+            lambda: ready_metric(self.health),
+            lambda: () if self.kept_map is None else store_metrics(self.kept_map),
+        )
+
+    def _worker(self, settings: Settings, malformed: Callable[[Source, bytes], None]) -> Worker:
+        return Worker(
+            *(self.queue, self.placer, self.receipts),
+            max_beams=self.limits.beams,
             overload=self.overload,
             sensors=SensorRules(settings.sensor_rules()),  # of its own: the sizes are another thread's
-            malformed=skip,
-            between=(lambda: None) if kept is None else kept.offer,
+            malformed=malformed,
+            between=(lambda: None) if self.kept_map is None else self.kept_map.offer,
         )
-        """A thread, which alone writes the map."""
 
     def _make_watch(self) -> None:
         """What looks at the mapper while it works."""
