@@ -1,4 +1,4 @@
-"""Writes the tables of docs/variants.md: the same scans, mapped by every variant of the sensor model.
+"""Writes the tables of docs/variants.md: the same scans, mapped by every variant of a map.
 
 The lab is simulated. The recorded buildings are mapped if OGM_DATASETS names the folder that they are in;
 their tables stay as they are if not.
@@ -25,12 +25,19 @@ VARIANTS = {
     "`beam`, `bresenham`": ["--sensor-model", "beam", "--traversal", "bresenham"],
     "`beam`, `dda`": ["--sensor-model", "beam", "--traversal", "dda"],
     "`sector`": ["--sensor-model", "sector"],
+    "`rate`": ["--cell-model", "rate"],
 }
+MODELS = dict(zip(VARIANTS, ("bresenham", "dda", "sector", "rate"), strict=True))
+"""What `ogm quality` calls them."""
 BUILDINGS = {
     "intel": "intel/intel-corrected.log.gz",
     "freiburg-079": "freiburg-079/freiburg-079-corrected.log.gz",
 }
-RECORDED = ["--range-max", "80", "--clear-range", "25", "--hold-out", "10"]
+RECORDED = ["--range-max", "79", "--reach", "25", "--clear-range", "25"]
+DENSE = {"freiburg-079": ["--every", "5"]}
+"""In which each scan has a twin, one in so many counts."""
+FIGURES = {"bits": 2, "hit": 3, "unknown": 3, "short": 3, "long": 3, "false_free": 3}
+"""What is printed of `ogm quality`'s figures, with how many decimals."""
 
 
 def main() -> None:
@@ -40,7 +47,7 @@ def main() -> None:
         page = with_table(page, "lab", lab_table(Path(folder)))
         datasets = os.environ.get("OGM_DATASETS")
         for name, log in BUILDINGS.items() if datasets else ():
-            page = with_table(page, name, building_table(Path(datasets or "", log), Path(folder)))
+            page = with_table(page, name, building_table(Path(datasets or "", log), DENSE.get(name, [])))
     PAGE.write_text(page, encoding="utf-8")
 
 
@@ -76,25 +83,13 @@ def rim_probability(npz: Path) -> float:
     return float(np.mean(1.0 / (1.0 + np.exp(-rims[~np.isnan(rims)]))))
 
 
-def building_table(log: Path, folder: Path) -> str:
-    """A recorded building, judged by every tenth scan."""
-    rows = [["variant", "within 0.1 m", "within 0.2 m", "median", "into unknown", "known", "entropy"]]
-    for name, flags in VARIANTS.items():
-        out = folder / "building"
-        ogm("build", log, "--out", out, *RECORDED, *flags)
-        quality = json.loads((out / "quality.json").read_text())
-        judged = quality["held_out"]
-        rows.append(
-            [
-                name,
-                f"{judged['within_0_1_m']:.3f}",
-                f"{judged['within_0_2_m']:.3f}",
-                f"{judged['median_abs_m']:.3f} m",
-                f"{judged['into_unknown']:.3f}",
-                f"{quality['known_m2']:.0f} m2",
-                f"{quality['mean_entropy_bits']:.3f}",
-            ]
-        )
+def building_table(log: Path, flags: list[str]) -> str:
+    """A recorded building, judged by scans that are held out."""
+    said = json.loads(ogm("quality", log, *RECORDED, *flags, "--models", ",".join(MODELS.values()), "--json"))
+    rows = [["variant", *(name.replace("_", " ") for name in FIGURES)]]
+    for name, model in MODELS.items():
+        figures = said[model][str(log)]
+        rows.append([name, *(f"{figures[figure]:.{decimals}f}" for figure, decimals in FIGURES.items())])
     return markdown(rows)
 
 
@@ -105,11 +100,10 @@ def markdown(rows: list[list[str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def ogm(*arguments: object) -> None:
-    """Run the program as a user would."""
-    subprocess.run(
-        [sys.executable, "-m", "ogm_services", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL
-    )
+def ogm(*arguments: object) -> str:
+    """Run the program as a user would; what it prints."""
+    command = [sys.executable, "-m", "ogm_services", *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 if __name__ == "__main__":
