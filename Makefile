@@ -53,12 +53,14 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# The maps that README.md and docs show: one lap through each of the simulated worlds.
+# The maps that README.md and docs show: one lap through each of the simulated worlds, the office's in both cell models.
 pictures: $(VENV)/.dev
 	$(call picture,lab,220)
 	$(call picture,office,3675)
 	$(BIN)/ogm build build/pictures/lab.jsonl.gz --preset lab --world lab --out build/pictures/textbook \
 		--figure docs/textbook.png
+	$(BIN)/ogm build build/pictures/office.jsonl.gz --cell-model rate --out build/pictures/office-rate
+	$(BIN)/python -m docs.corner build/pictures/office build/pictures/office-rate docs/corner.png
 
 define picture
 mkdir -p build/pictures
