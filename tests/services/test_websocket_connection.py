@@ -3,7 +3,7 @@
 import os
 import socket
 import struct
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 
@@ -191,8 +191,9 @@ class TestMessages:
         [
             ([frame(BINARY, bytes(MAX_MESSAGE + 1))], 1009),
             ([frame(BINARY, bytes(40000), last=False), frame(REST, bytes(40000))], 1009),
-            ([frame(BINARY, last=False)] + [frame(REST, last=False)] * 1024, 1009),
-            ([frame(TEXT, b"a", last=False)] + [frame(REST, b"a", last=False)] * 1024, 1009),
+            ([frame(BINARY, last=False)] + [frame(REST, last=False)] * 256, 1009),
+            ([frame(TEXT, b"a", last=False)] + [frame(REST, b"a", last=False)] * 256, 1009),
+            ([frame(PONG) * 2000], 1008),
             ([frame(BINARY, b"a", masked=False)], 1002),
             ([frame(0x3, b"a")], 1002),
             ([frame(BINARY, b"a", reserved=0x40)], 1002),
@@ -205,6 +206,7 @@ class TestMessages:
             "too long in parts",
             "parts of nothing",
             "texts in parts",
+            "too many at once",
             "no mask",
             "opcode",
             "reserved",
@@ -222,6 +224,17 @@ class TestMessages:
             with suppress(ConnectionResetError):  # it has not read the rest
                 assert frame_from(file) is None
         assert desk.seen == []
+
+    def test_who_sends_many_frames_keeps_nobody_waiting(self, desk, eventually):
+        with ExitStack() as stack:
+            many = [stack.enter_context(opened(desk))[0] for _ in range(8)]
+            for sock in many:
+                with suppress(ConnectionResetError, BrokenPipeError):
+                    sock.sendall(frame(PONG) * 100_000)
+            eventually(lambda: desk.connections() == 0)
+        with opened(desk) as (sock, file):
+            sock.sendall(frame(BINARY, b"a") * 1000)
+            assert [frame_from(file) for _ in range(1000)] == [(BINARY, b"a")] * 1000
 
     def test_texts_are_not_looked_into(self, desk, no_errors):
         """The application is told that there is one: no bytes of a stranger make a decoder fail."""
@@ -283,7 +296,8 @@ class TestSlowClients:
             sock.sendall(frame(BINARY))
             assert frame_from(file) == (BINARY, bytes(BIG))
 
-    def test_answers_to_pings_do_not_pile_up(self, eventually):
+    def test_answers_to_pings_do_not_pile_up(self, eventually, monkeypatch):
+        monkeypatch.setattr("ogm_services.mapper.serving.websocket_connection.MOST_AT_ONCE", 10**6)
         with http_desk(stall_time=NEVER, request_time=NEVER) as desk, opened(desk) as (sock, _):
             pings = frame(PING, bytes(125)) * 5000
 

@@ -21,12 +21,18 @@ from ogm_services.mapper.serving.waiting_connections import WaitingConnections
 
 MAX_MESSAGE: Final = 64 * 1024
 """A client's messages have so many bytes at most."""
-_MAX_FRAMES = 1024
+_MAX_FRAMES = 256
 """A message comes in so many frames at most: frames without a byte count for nothing in its length."""
+MOST_AT_ONCE = 1024
+"""So many frames of a client are read at once, at most, while all others wait: those of a minute of views."""
+_PORTION = 4096
+"""Bytes that are read of them before it is looked how many they are."""
 PING_PERIOD: Final = 20.0
 """Between two pings, and how long the answer to one may take, s."""
 STOPPING: Final = 1001
 """The code of RFC 6455, section 7.4.1, of a server that goes away."""
+_TOO_MANY = 1008
+"""And of one whose rules are broken."""
 _TOO_BIG = 1009
 """And of one that takes no message as large."""
 _MAX_UNSENT = 8 * MEBIBYTE
@@ -80,6 +86,23 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
         self._waiting = waiting
+        self._at_once = 0
+
+    def data_received(self, data: bytes) -> None:
+        """Take what has come; who sends so many frames that nobody else is served meanwhile is cut off."""
+        self._at_once = 0
+        for first in range(0, len(data), _PORTION):
+            super().data_received(data[first : first + _PORTION])
+            if self.transport.is_closing():
+                break
+
+    def handle_events(self) -> None:
+        """Take the frames of a portion."""
+        self._at_once += len(self.conn.events)
+        if self._at_once > MOST_AT_ONCE:
+            self._fail(_TOO_MANY, f"more than {MOST_AT_ONCE} frames at once")
+        else:
+            super().handle_events()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it."""
@@ -97,8 +120,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         if self.close_sent:
             return
         if len(self.frames) >= _MAX_FRAMES:
-            self.conn.fail(_TOO_BIG, f"a message of more than {_MAX_FRAMES} frames")
-            self.handle_parser_exception()
+            self._fail(_TOO_BIG, f"a message of more than {_MAX_FRAMES} frames")
             return
         if self.curr_msg_data_type == "text":
             event.data = b""
@@ -139,6 +161,11 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.close_sent = True
         super().shutdown()
         self.loop.call_later(_TIME_TO_CLOSE, self.transport.abort)
+
+    def _fail(self, code: int, reason: str) -> None:
+        self._waiting.complain("HTTP", str(code), f"a WebSocket client is cut off: {reason}")
+        self.conn.fail(code, reason)
+        self.handle_parser_exception()
 
     def _cut_off(self) -> None:
         if not self.transport.is_closing():
