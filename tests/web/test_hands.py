@@ -108,7 +108,7 @@ def test_two_fingers_zoom_the_map_and_not_the_page(lab, look, phone, eventually)
     assert watched.complaints == []
 
 
-def test_on_a_phone_that_lies_all_buttons_are_in_sight(lab, look, phone, keep):
+def test_a_phone_that_lies_has_all_buttons_in_sight_and_turned_its_map(lab, look, phone, keep, eventually):
     watched = look(lab, **{**phone, "size": phone["size"][::-1]})
     watched.open()
     height = watched.page.evaluate("() => innerHeight")
@@ -118,6 +118,13 @@ def test_on_a_phone_that_lies_all_buttons_are_in_sight(lab, look, phone, keep):
     # The scale is legible below them.
     assert max(box["y"] + box["height"] for box in boxes) <= height - 36
     keep(watched, "lab-phone-lying")
+    sections = watched.page.locator("#sections")
+    assert sections.is_visible()
+    width, height = phone["size"]
+    watched.page.set_viewport_size({"width": width, "height": height})
+    eventually(sections.is_hidden)
+    watched.page.set_viewport_size({"width": height, "height": width})
+    eventually(sections.is_visible)
     assert watched.complaints == []
 
 

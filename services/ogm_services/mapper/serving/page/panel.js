@@ -61,5 +61,6 @@ export function startPanel() {
   });
   element("grip").addEventListener("click", () => open(element("panel").classList.contains("closed")));
   open(!PHONE.matches);
+  PHONE.addEventListener("change", ({matches}) => open(!matches));  // it was turned
   subscribe("tool", (tool) => { if (tool && PHONE.matches) open(false); });  // it wants the map
 }
