@@ -2,14 +2,13 @@
 import {element} from "./tables.js";
 import {say} from "./elements.js";
 import {change, state, subscribe} from "./state.js";
+import {clock} from "./units.js";
 
 const STALE_MS = 5000;  // so long nothing may come from a mapper that is there
 const NOTICE_MS = 8000;
 let heard = Date.now();  // when something came last
 let before = null;  // the map that was told of last
 let notice = 0;  // a timer
-
-const clock = (ms) => new Date(ms).toLocaleTimeString([], {hourCycle: "h23"});
 
 const isStale = () => Date.now() - heard > STALE_MS;
 

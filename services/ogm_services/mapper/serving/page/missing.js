@@ -1,9 +1,10 @@
 // Parts of a map that no mapper answers for at present, where the status tells of any: named, and greyed on the map.
 import {state, subscribe} from "./state.js";
 import {element, fill} from "./tables.js";
+import {clock} from "./units.js";
 
 const parts = () => state.status?.missing ?? [];
-const since = (stamp) => stamp ? `since ${new Date(stamp / 1e6).toLocaleTimeString()}` : "no answer";
+const since = (stamp) => stamp ? `since ${clock(stamp / 1e6)}` : "no answer";
 
 export const missingLayer = {
   name: "missing",

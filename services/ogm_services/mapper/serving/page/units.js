@@ -10,6 +10,9 @@ export const perSecond = (rate, what = "") => `${rate.toFixed(rate < 10 ? 1 : 0)
 export const metresBy = (width, height) => `${short(width)} × ${short(height)} m`;
 export const bits = (value) => `${value.toFixed(3)} bits`;
 
+// The time of day.
+export const clock = (ms) => new Date(ms).toLocaleTimeString([], {hourCycle: "h23"});
+
 export function duration(seconds) {
   const units = [[86400, "d"], [3600, "h"], [60, "min"]].find(([length]) => seconds >= 2 * length) ?? [1, "s"];
   return `${(seconds / units[0]).toFixed(units[0] > 1 ? 1 : 0)} ${units[1]}`;
