@@ -225,6 +225,17 @@ class TestMessages:
                 assert frame_from(file) is None
         assert desk.seen == []
 
+    @pytest.mark.parametrize(
+        ("said", "code"),
+        [(frame(0x3), 1002), (frame(BINARY, bytes(70000)), 1009), (frame(PONG) * 2000, 1008)],
+    )
+    def test_nor_does_what_comes_before_it_has_begun(self, desk, said, code, no_errors, eventually):
+        with desk.call() as sock, sock.makefile("rb") as file:
+            sock.sendall(get(b"/ws", *HANDSHAKE) + said)
+            assert answer_from(file).status == 101
+            assert frame_from(file)[1][:2] == closing(code)
+            eventually(lambda: desk.connections() == 0)
+
     def test_who_sends_many_frames_keeps_nobody_waiting(self, desk, eventually):
         with ExitStack() as stack:
             many = [stack.enter_context(opened(desk))[0] for _ in range(8)]

@@ -87,9 +87,15 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         super().__init__(config, server_state, app_state, _loop)
         self._waiting = waiting
         self._at_once = 0
+        self._early = b""
+        """What has come before the handshake is answered: until then uvicorn cannot say what is wrong."""
 
     def data_received(self, data: bytes) -> None:
         """Take what has come; who sends so many frames that nobody else is served meanwhile is cut off."""
+        if self.handshake_initiated and not self.handshake_complete:
+            self._early += data
+            self.transport.pause_reading()
+            return
         self._at_once = 0
         for first in range(0, len(data), _PORTION):
             super().data_received(data[first : first + _PORTION])
@@ -146,6 +152,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
                 await super().send(message)
                 if message["type"] == "websocket.http.response.body" and self.close_sent:
                     self.handshake_complete = True  # it is refused: uvicorn takes that for a bug
+                self._take_early()
                 await self.writable.wait()
         except TimeoutError:
             self._cut_off()
@@ -161,6 +168,12 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.close_sent = True
         super().shutdown()
         self.loop.call_later(_TIME_TO_CLOSE, self.transport.abort)
+
+    def _take_early(self) -> None:
+        early, self._early = self._early, b""
+        if early and self.handshake_complete and not self.transport.is_closing():
+            self.transport.resume_reading()
+            self.data_received(early)
 
     def _fail(self, code: int, reason: str) -> None:
         self._waiting.complain("HTTP", str(code), f"a WebSocket client is cut off: {reason}")
