@@ -28,7 +28,7 @@ def of_status(text):
     return {
         key: value
         for key, value in samples(text).items()
-        if not key[0].startswith(("ogm_build", "ogm_scan_", "ogm_http"))
+        if not key[0].startswith(("ogm_build", "ogm_scan_", "ogm_http", "ogm_live"))
     }
 
 
