@@ -13,7 +13,7 @@ LOGGED = "an answer of 401 is an error on the console, too"
 
 
 @pytest.fixture
-def changed(tmp_path, look):
+def changed(look, eventually):
     """`changed(*flags)`: a mapper of one beam, from (0, 0) to a hit at x = 2, and its page."""
     made = []
 
@@ -24,6 +24,7 @@ def changed(tmp_path, look):
         with mapper.robot() as robot:
             robot.publish_scan([2.05], **ONE_BEAM, pose=(0.05, 0.05, 0.0))
             robot.wait_for_mapper()
+        eventually(lambda: known(mapper) > 0)  # they are counted once a second
         watched = look(mapper, **options)
         watched.open()
         watched.page.evaluate("() => { document.querySelector('#changes').open = true; }")
@@ -85,7 +86,7 @@ def test_an_area_is_erased_with_a_token_that_is_asked_for_once(changed, token_fi
     watched.settle()
     assert watched.colour(*AT_A_HIT) == "transparent"
     assert watched.colour(*FREE) == "#cdcdcd"
-    eventually(lambda: known(mapper) == before - 1)  # they are counted once a second
+    eventually(lambda: known(mapper) == before - 1)
 
     draw(watched, (0.9, -0.5), (1.19, -0.5), (1.19, 0.5), (0.9, 0.5))
     page.get_by_role("button", name="Done").click()
