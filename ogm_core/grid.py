@@ -26,6 +26,7 @@ from ogm_core.tiles.copies import (
     uncopied_tiles,
 )
 from ogm_core.tiles.erasing import erase, written_rect
+from ogm_core.tiles.extent import NO_CELLS, Extent
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.view import TileView
@@ -48,7 +49,8 @@ class OccupancyGrid:
         self.model: CellModel = compiled(settings.cell_model)
         self.max_bytes = settings.max_bytes
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
-        self.lattice, self.bounds = settings.lattice, settings.bounds_rect
+        self.lattice, self.bounds = settings.lattice, settings.clipped_bounds
+        """Its lattice, and the cells that it keeps if it is bounded."""
         self.time: MapTime
         """How far its time has come, and its ticks: of a map with a half-life."""
         self._aging: Aging | None
@@ -64,8 +66,8 @@ class OccupancyGrid:
         self.cell_updates = 0
         self.erasures = 0
         self._begin_time(MapTime())
-        self._known: CellRect | None = None
-        self._begin_store(TileStore(self.bounds or CellRect(0, 0, 0, 0), self.model.planes))
+        self._extent = self._unknown()
+        self._begin_store(self._reserving(self.bounds or NO_CELLS))
 
     @property
     def nbytes(self) -> int:
@@ -76,16 +78,15 @@ class OccupancyGrid:
     def rect(self) -> CellRect:
         """What is served: the bounds, or else the smallest rectangle that holds every known cell.
 
-        It holds every cell that was written, with as many more on every side as its model may know of.
+        It holds every cell that was written, with as many more on every side as its model may know of: also
+        beyond a clip, where cells of another map are known by this one's.
         """
-        if self.bounds is not None or self._known is None:
-            return self.bounds or CellRect(0, 0, 0, 0)
-        return self._known.widened(self.model.spread) if self.model.spread else self._known
+        return self._extent.served(self.model.spread)
 
     def begin_with(self, planes: Planes, offset: tuple[int, int] = (0, 0)) -> None:
         """Fill an empty map: its model's planes, [iy, ix]; the first cell is `offset` of the lattice.
 
-        The revision stays 0: it counts scans.
+        The revision stays 0: it counts scans. A map with a clip takes what lies in it.
 
         Raises:
             LimitReached: they are more than the map may hold; no cell has changed.
@@ -94,22 +95,25 @@ class OccupancyGrid:
         written = CellArrays(planes, {plane.name: plane.side for plane in self.model.planes}).any_written()
         height, width = written.shape
         rect = CellRect(*offset, width, height)
-        if self.bounds is not None and not self.bounds.contains(rect):
+        extent = self._unknown()
+        if extent.counted(rect) != rect:
             raise OutsideBounds(f"{width} x {height} cells from {offset} on are not all within the bounds")
         if rect.cells > self.settings.max_cells:
             raise LimitReached(
                 f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
             )
-        store = TileStore(self.bounds or rect, self.model.planes)
+        store = self._reserving(self.bounds or extent.kept(rect))
         store.write(rect, planes)
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
         rows = np.flatnonzero(written.any(axis=1)).tolist()
         columns = np.flatnonzero(written.any(axis=0)).tolist()
-        self._known = None
         if rows:
             size = columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1
-            self._known = CellRect(offset[0] + columns[0], offset[1] + rows[0], *size)
+            extent.stretched = CellRect(offset[0] + columns[0], offset[1] + rows[0], *size)
+            kept = extent.kept(extent.stretched)
+            extent.know(kept if kept.cells else None)
+        self._extent = extent
         self._begin_store(store)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
@@ -130,9 +134,7 @@ class OccupancyGrid:
         try:
             # What the scan says: about which cells, and which of them are this map's.
             evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
-            updated = evidence.extent()
-            if self.bounds is not None:
-                updated = updated.intersection(self.bounds)
+            updated = self._extent.counted(evidence.extent())
             updates = self._add(evidence, updated, aging) if updated.cells else 0
         except MemoryError as error:
             raise LimitReached(
@@ -150,8 +152,15 @@ class OccupancyGrid:
 
         They have aged before.
         """
-        known = updated if self._known is None else self._known.union(updated)
-        self.settings.check_known(known.width, known.height)
+        extent = self._extent
+        stretched = extent.stretched_by(updated)
+        self.settings.check_known(stretched.width, stretched.height)
+        if extent.clip is not None:
+            # Maps of other clips may have room where this one has none: all go on taking the same scans.
+            extent.stretched = stretched
+            updated = extent.kept(updated)
+            if not updated.cells:
+                return 0
 
         def window(store: TileStore) -> CellRect:
             return evidence.window(store, self.bounds or store.rect)
@@ -163,13 +172,14 @@ class OccupancyGrid:
         if aging is not None:
             aging.before_writing(store, updated, self.revision + 1)
         updates = self.model.update(evidence, store, window(store), self.revision + 1)
-        self._known = known
+        extent.add(updated)
         return updates
 
     def erase(self, area: Polygon) -> int:
         """Make the cells unknown whose centre lies in `area`; return how many were known.
 
         What lies outside the map is left out. The revision grows by one; stamp and number of updates stay.
+        Whether an area is refused is decided without the clip.
 
         Raises:
             BadParameter: no cell of the map may lie in it; nothing has changed.
@@ -177,15 +187,16 @@ class OccupancyGrid:
         """
         if not area.rect.cells:
             raise BadParameter("no cell's centre lies in what is to be erased: it is too small")
-        if not self.rect.cells:
+        whole = self._extent.whole(self.model.spread)
+        if not whole.cells:
             raise MapEmpty("the map has no known cell: there is nothing to erase")
-        part = self.rect.intersection(area.rect)
-        if not part.cells:
-            wanted, here = (self.lattice.region_of(rect).span for rect in (area.rect, self.rect))
+        if not whole.intersection(area.rect).cells:
+            wanted, here = (self.lattice.region_of(rect).span for rect in (area.rect, whole))
             raise BadParameter(f"what is to be erased, {wanted}, lies wholly outside the map, {here}")
+        part = self.rect.intersection(area.rect)
         erased = erase(self._store, area, part, self.revision + 1, self._aging)
         if erased:
-            self._known = written_rect(self._store)
+            self._extent.know(written_rect(self._store))
         self.revision += 1
         self.erasures += 1
         return erased
@@ -256,10 +267,10 @@ class OccupancyGrid:
         self._copies = copy_tiles(
             *(self._store, self.revision, self._copies, room, self._aging), giving_up=False, keeping_old=True
         )
+        extent = self._extent
         state = MapState(
-            *(self.epoch, self.revision, self.stamp, self.cell_updates, self._known, self._store.rect),
-            self.erasures,
-            self.time,
+            *(self.epoch, self.revision, self.stamp, self.cell_updates, extent.known, self._store.rect),
+            *(self.erasures, self.time, None if extent.clip is None else extent.stretched),
         )
         return Checkpoint(state, self._copies, self._store.touched.copy())
 
@@ -269,14 +280,27 @@ class OccupancyGrid:
         Raises:
             LimitReached: it is more than the map may hold.
         """
-        store = TileStore(state.room, self.model.planes)
+        store = self._reserving(state.room)
         store.put(tiles)
         if store.nbytes > self.settings.max_bytes:
             raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
-        self.epoch, self.revision, self.stamp, self.cell_updates, self._known = state[:5]
+        self.epoch, self.revision, self.stamp, self.cell_updates, known = state[:5]
         self.erasures = state.erasures
+        self._extent = self._unknown()
+        self._extent.stretched = state.stretched
+        self._extent.know(known)
         self._begin_time(state.time)
         self._begin_store(store)
+
+    def _unknown(self) -> Extent:
+        """The extent of this map while nothing is known."""
+        clip = self.settings.clip
+        return Extent(self.settings.bounds_rect, None if clip is None else clip.rect)
+
+    def _reserving(self, rect: CellRect) -> TileStore:
+        """An empty store over `rect`, which lies in the clip, as all that grow from it will."""
+        clip = self.settings.clip
+        return TileStore(rect, self.model.planes, None if clip is None else clip.rect)
 
     def _begin_time(self, time: MapTime) -> None:
         self.time = time

@@ -9,7 +9,7 @@ from ogm_core.cells.forgetting import tick_length
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.model import MAX_MARGIN, CellModel
 from ogm_core.errors import SMALLER_MAP, BadSetting, LimitReached
-from ogm_core.lattice import MIN_RESOLUTION, CellRect, Lattice, Region, bounded
+from ogm_core.lattice import MIN_RESOLUTION, CellRect, Clip, Lattice, Region, bounded
 
 Outside = Literal["clip", "drop"]
 SensorModel = Literal["beam", "sector"]
@@ -29,12 +29,13 @@ class GridSettings:
     as sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
     (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
     lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. In a `half_life`
-    (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. `max_cells` limits
-    the known rectangle, `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the
-    cells along its beams, or, as sectors, those of its area and along its outline, within the bounds or not.
+    (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. A map keeps the cells
+    in its `clip` alone, and takes scans as if it had none. `max_cells` limits the known rectangle,
+    `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the cells along its
+    beams, or, as sectors, those of its area and along its outline, within the bounds or not.
 
     Raises:
-        BadSetting: a value is out of range, or the bounds do not fit the resolution or `max_cells`.
+        BadSetting: a value is out of range, or the bounds do not fit the resolution, `max_cells` or the clip.
     """
 
     resolution: float = 0.05
@@ -48,6 +49,7 @@ class GridSettings:
     anchor: tuple[float, float] = (0.0, 0.0)
     outside: Outside = "clip"
     half_life: float | None = None
+    clip: Clip | None = None
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
     max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
@@ -88,6 +90,8 @@ class GridSettings:
             raise BadSetting(
                 f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
             )
+        if self.clip is not None and rect is not None and not rect.intersection(self.clip.rect).cells:
+            raise BadSetting(f"clip: no cell of the bounds, {rect.width} x {rect.height}, lies in it")
 
     def check_known(self, width: int, height: int) -> None:
         """Refuse a scan with which the known rectangle would have `width` x `height` cells.
@@ -122,6 +126,12 @@ class GridSettings:
     def bounds_rect(self) -> CellRect | None:
         """The cells of the map's bounds, if it has any."""
         return self._lattice_and_rect[1]
+
+    @property
+    def clipped_bounds(self) -> CellRect | None:
+        """The cells that a bounded map keeps: those of its bounds that lie in its clip."""
+        rect = self.bounds_rect
+        return rect if rect is None or self.clip is None else rect.intersection(self.clip.rect)
 
     @cached_property
     def _lattice_and_rect(self) -> tuple[Lattice, CellRect | None]:

@@ -22,6 +22,9 @@ MAX_INDEX = 2**52
 _WHOLE = 1e-6
 SAME_RESOLUTION = 1e-6
 """Resolutions that differ by no more, relatively, are one: files round them."""
+TILE_BITS = 6
+TILE = 1 << TILE_BITS
+"""Cells are stored in tiles, 64 cells wide and high, from cell (0, 0) on."""
 
 
 class CellRect(NamedTuple):
@@ -65,6 +68,41 @@ class CellRect(NamedTuple):
             and other.ix + other.width <= self.ix + self.width
             and other.iy + other.height <= self.iy + self.height
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """A rectangle of a lattice that a map keeps to: cells (ix, iy), xmin <= ix < xmax and ymin <= iy < ymax.
+
+    Whole tiles; None where it is open. Maps of one lattice whose clips meet edge to edge hold, together, the
+    cells of the map without a clip.
+
+    Raises:
+        BadSetting: an edge is none of tiles, or the rectangle is empty.
+    """
+
+    xmin: int | None = None
+    ymin: int | None = None
+    xmax: int | None = None
+    ymax: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("xmin", "ymin", "xmax", "ymax"):
+            edge = getattr(self, name)
+            if edge is not None and not (abs(edge) <= MAX_INDEX and edge % TILE == 0):
+                raise BadSetting(
+                    f"clip: {name} is cell {edge}: an edge of tiles is needed, a multiple of {TILE} cells"
+                )
+        if not self.rect.cells:
+            raise BadSetting(f"clip: xmin < xmax and ymin < ymax are needed, got {self}")
+
+    @property
+    def rect(self) -> CellRect:
+        """Its cells; where it is open, up to beyond the farthest that are addressed."""
+        far = 2 * MAX_INDEX
+        xmin, ymin = (-far if edge is None else edge for edge in (self.xmin, self.ymin))
+        xmax, ymax = (far if edge is None else edge for edge in (self.xmax, self.ymax))
+        return CellRect(xmin, ymin, max(xmax - xmin, 0), max(ymax - ymin, 0))
 
 
 class Region(NamedTuple):

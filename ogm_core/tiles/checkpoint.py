@@ -29,6 +29,8 @@ class MapState(NamedTuple):
     """How often cells were erased; each was a revision. A store of before there was such a thing has none."""
     time: MapTime = MapTime()
     """How far its time has come, and its ticks; a store of before there were half-lives has none."""
+    stretched: CellRect | None = None
+    """Of a map with a clip: the rectangle that limits count of the map without one."""
 
 
 class KeptTile(NamedTuple):

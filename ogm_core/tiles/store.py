@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.model import Plane, cell_bytes
 from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
-from ogm_core.lattice import CellRect
+from ogm_core.lattice import TILE, TILE_BITS, CellRect
 
-TILE_BITS = 6
-TILE = 1 << TILE_BITS
-"""Tiles are 64 cells wide and high."""
+__all__ = ["TILE", "TILE_BITS", "StoredPlane", "TileStore", "tile_bytes", "tiles_met"]
+
 _TILE_CELLS = TILE * TILE
 _FIRST_ROOM = 4096
 """Cells on every side of a map's first ones: most maps never have to be moved."""
@@ -56,8 +55,10 @@ class StoredPlane(NamedTuple):
 class TileStore:
     """The planes of a rectangle of whole tiles, all unknown at first. Owned by the map's one writer."""
 
-    def __init__(self, rect: CellRect, planes: tuple[Plane, ...]) -> None:
+    def __init__(self, rect: CellRect, planes: tuple[Plane, ...], within: CellRect | None = None) -> None:
         """Reserve room for every cell of `rect`, rounded outward to tiles.
+
+        It lies `within` whole tiles, None: anywhere, and so will the stores that grow from it.
 
         Raises:
             LimitReached: the system refuses the address space.
@@ -65,6 +66,7 @@ class TileStore:
         tx, ty = rect.ix // TILE, rect.iy // TILE
         shape = -(-(rect.ix + rect.width) // TILE) - tx, -(-(rect.iy + rect.height) // TILE) - ty
         self.kinds = planes
+        self._within = within
         self.rect = CellRect(tx * TILE, ty * TILE, shape[0] * TILE, shape[1] * TILE)
         self._memory: dict[str, mmap.mmap] = {}
         self.planes: Mapping[str, StoredPlane] = {plane.name: self._reserve(plane, shape) for plane in planes}
@@ -149,8 +151,8 @@ class TileStore:
             )
             if _table_bytes(roomy) * _SMALL_PART < max_bytes:
                 with contextlib.suppress(LimitReached):  # no address space for that much
-                    return TileStore(roomy, self.kinds)
-            return TileStore(rect, self.kinds)
+                    return self._reserving(roomy)
+            return self._reserving(rect)
         west = self.rect.width // 2 if rect.ix < self.rect.ix else 0
         south = self.rect.height // 2 if rect.iy < self.rect.iy else 0
         wanted = self.rect.union(rect)
@@ -159,7 +161,7 @@ class TileStore:
         roomy = CellRect(
             wanted.ix - west, wanted.iy - south, wanted.width + west + east, wanted.height + south + north
         )
-        store = TileStore(roomy, self.kinds)
+        store: TileStore = self._reserving(roomy)
         dx, dy = store._tile_of(self)
         width, height = self.touched.shape
         store.touched[dx : dx + width, dy : dy + height] = self.touched
@@ -168,6 +170,11 @@ class TileStore:
             store.aged[dx : dx + width, dy : dy + height] = self.aged
         store.tiles_used = self.tiles_used
         return store
+
+    def _reserving(self, rect: CellRect) -> "TileStore":
+        """An empty store of the same planes over as much of `rect` as it may cover."""
+        within = self._within
+        return TileStore(rect if within is None else rect.intersection(within), self.kinds, within)
 
     def take(self, other: "TileStore") -> None:
         """Move every tile that was written in `other`, which this store was grown from, and nothing else.
@@ -191,7 +198,7 @@ class TileStore:
             self._memory[name].madvise(mmap.MADV_DONTNEED, tx * size, size)
 
     def write(self, rect: CellRect, planes: Mapping[str, NDArray[Any]]) -> None:
-        """Put the cells of `rect`, which lies inside, in place: each plane's [iy, ix].
+        """Put the cells of `rect` in place: each plane's [iy, ix]; what lies outside is left out.
 
         Only tiles in which a number is not 0 are written; their revision is that of a first scan.
         """

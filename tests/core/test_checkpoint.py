@@ -108,7 +108,7 @@ def test_a_reset_map_is_empty_and_of_its_new_epoch():
     grid.checkpoint()
     grid.reset("f")
     checkpoint = grid.checkpoint()
-    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0, MapTime())
+    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0, MapTime(), None)
     assert list(checkpoint.tiles_since(0)) == []
 
 

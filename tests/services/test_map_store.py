@@ -13,7 +13,7 @@ import pytest
 from counts_model import Counts
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import BadInput, BadSetting, BadStore
-from ogm_core.lattice import Region
+from ogm_core.lattice import CellRect, Clip, Region
 from ogm_core.tiles.polygon import Polygon
 from ogm_services.mapper.storage.folder_lock import StoreInUse
 from ogm_services.mapper.storage.map_store import MapStore
@@ -140,6 +140,7 @@ CONTRADICTIONS = [
     ({"reach": 5.0}, "map.reach is 5.0, and there none"),
     ({"clear_range": 5.0}, "map.clear_range is 5.0, and there none"),
     ({"half_life": 60.0}, "map.half_life is 60.0, and there none"),
+    ({"clip": Clip(xmax=128)}, r"map.clip is \[null, null, 128, null\], and there none"),
     ({"outside": "drop"}, "map.outside is drop, and there clip"),
     ({"bounds": BOUNDS}, r"map.bounds is \[-5.0, -4.0, 12.3, 9.7\], and there none"),
     ({"cell_model": LogOdds("float64")}, "map.cells is float64, and there int16"),
@@ -263,6 +264,19 @@ def test_a_store_is_of_the_newer_version_once_its_map_forgets_or_something_was_e
         assert (found, bool(newer)) == (version, version > 1)
     with MapStore(tmp_path) as store:
         assert restored(store, story.grid.settings) == story.now
+
+
+def test_a_map_with_a_clip_is_stored_with_what_the_whole_one_would_be(tmp_path):
+    story = Story(None, grid_of(clip=Clip(xmin=64)))
+    story.integrate(3)
+    with MapStore(tmp_path) as store:
+        story.store = store
+        story.commit()
+        before = store.restore(story.grid.settings).grid.checkpoint().state
+        assert before == story.grid.checkpoint().state
+    assert before.stretched.union(CellRect(*before.known)) == before.stretched != before.known
+    with MapStore(tmp_path) as store, pytest.raises(BadSetting, match=r"clip is none, and there \[64, null"):
+        store.restore(grid_of().settings)
 
 
 @pytest.mark.parametrize("content", [b"", b"hello" * 1000, b"SQLite format 3\0" + bytes(5000)])

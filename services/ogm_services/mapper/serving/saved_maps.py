@@ -73,4 +73,4 @@ class SavedMaps:
                 yield saved.grid(self._settings).snapshot()
 
     def _rect_of(self, saved: SavedMap) -> CellRect:
-        return self._settings.bounds_rect or saved.state.map.known or CellRect(0, 0, 0, 0)
+        return self._settings.clipped_bounds or saved.state.map.known or CellRect(0, 0, 0, 0)

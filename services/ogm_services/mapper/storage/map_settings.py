@@ -29,6 +29,8 @@ def as_text(settings: GridSettings) -> str:
         **{name: getattr(settings, name) for name in _COMPARED},
         **_of_model(settings.cell_model),
     }
+    if settings.clip is not None:
+        fields["clip"] = list(dataclasses.astuple(settings.clip))
     return json.dumps(fields)
 
 

@@ -23,7 +23,7 @@ from ogm_services.mapper.storage.layout import VERSION, version_of
 
 TILES = "SELECT tx, ty, revision, record, digest FROM tiles"
 PLACING = "SELECT key, value, digest FROM placing"
-_SINCE_VERSION_2 = {"time", "ticks", "erasures"}
+_SINCE_VERSION_2 = {"time", "ticks", "erasures", "stretched"}
 """Of a map's state."""
 
 
@@ -177,6 +177,8 @@ def write_state(connection: sqlite3.Connection, state: StoredState) -> None:
         del fields["time"], fields["ticks"]
     if not state.map.erasures:
         del fields["erasures"]
+    if state.map.stretched is None:
+        del fields["stretched"]
     if fields.keys() & _SINCE_VERSION_2 and version_of(connection) < VERSION:
         connection.execute(f"PRAGMA user_version = {VERSION}")
     text = json.dumps(fields)
@@ -193,10 +195,12 @@ def _state_of(text: str, settings: str, root: bytes) -> StoredState:
     run, tiles, known = (fields.pop(name) for name in ("run", "tiles", "known"))
     room = CellRect(*fields.pop("room"))
     time, ticks = fields.pop("time", None), fields.pop("ticks", ())
+    stretched = fields.pop("stretched", None)
     state = MapState(
         known=None if known is None else CellRect(*known),
         room=room,
         time=MapTime(time, tuple(ticks)),
+        stretched=None if stretched is None else CellRect(*stretched),
         **fields,
     )
     return StoredState(state, run, settings, tiles, root)
