@@ -12,6 +12,7 @@ Burgard 2017, "An analytical lidar sensor model based on ray path information", 
 
 A half is half as wide as a cell. All zero is "never observed". Every number is a sum of whole numbers that
 depend on one beam alone: the order of scans does not matter, and the planes of maps of one lattice add up.
+One that would not fit stops at the largest that its plane holds, N and C together (see cells.rate_sums).
 
 Two lattices can be served: `Rate` publishes cells, `RateHalves` halves, of which a map tells more.
 """

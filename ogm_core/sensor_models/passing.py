@@ -9,7 +9,8 @@
                     x x
 
 A cell that is passed along its whole column counts the length of that, which is longer the steeper the line
-runs (Schaefer, Luft & Burgard 2017). Every number is a sum of whole numbers that depend on one beam alone.
+runs (Schaefer, Luft & Burgard 2017). Every number is a sum of whole numbers that depend on one beam alone; it
+stops at the largest that its plane holds, so that the order of beams never matters.
 
 `ends` and `weights` are those of `counted_beams`. Cells are addressed as in tiles.store. `window` is the
 contents of a CellRect, of cells; the planes are those of cells.rate.
@@ -43,6 +44,9 @@ __all__ = ["extent", "touch_tiles", "update_planes"]
 
 _LONGEST_PIECE = 4000
 """Rows that are walked in one go: addresses in fixed point stay below 2^63."""
+_MOST_CARRIES = 2**16 - 1
+_MOST = 2**32 - 1
+"""The largest numbers that planes hold: sums stop there, as those of cells.rate_sums do."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -136,12 +140,25 @@ def _add_carries(
     gain: int,
     count: int,
 ) -> None:
-    """Carry 1 where a cell of the piece has wrapped: it now holds less than was added."""
+    """Carry 1 where a cell of the piece has wrapped: it now holds less than was added.
+
+    One that has no carry left stays at the largest number that both planes hold together.
+    """
     for _ in range(count):
         acc += gain
         base += ahead
         address = np.uint64(base + ((acc >> FRACTION_BITS) << bits))
-        carries[address] = np.int64(carries[address]) + (np.int64(cells[address]) < weight)
+        wrapped, carry = np.int64(cells[address]) < weight, np.int64(carries[address])
+        if wrapped and carry == _MOST_CARRIES:
+            cells[address] = _MOST_CARRIES
+        else:
+            carries[address] = carry + wrapped
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _plus(count: int, more: int) -> int:
+    """A sum in a plane of 32 bits."""
+    return min(count + more, _MOST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -167,7 +184,7 @@ def _count_hit(
         i, j = cell_at(line, 2 * line.start + half, 2 * line.aside + (acc >> FRACTION_BITS))
         if half_inside(i, j, window):
             address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
-            passing[address] = np.int64(passing[address]) + weight
+            passing[address] = _plus(passing[address], weight)
             fresh += touch(touched, i >> 1, j >> 1, revision)
             updates += 1
         acc += line.step
@@ -175,7 +192,7 @@ def _count_hit(
     i, j = u >> 3, v >> 3
     if half_inside(i, j, window):
         address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
-        passing[address] = np.int64(passing[address]) + ((weight * entered(line) + 8) >> 4)
+        passing[address] = _plus(passing[address], (weight * entered(line) + 8) >> 4)
         updates += 1
     return updates, fresh + _share_hit(u, v, range_weight, window, touched, revision, column, hits)
 
@@ -202,14 +219,14 @@ def _share_hit(
         address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
         for q in range(4):  # all in one tile
             at = address + np.uint64((q & 1) + (q >> 1) * 2 * TILE)
-            hits[at] = np.int64(hits[at]) + share_of_hit(q, u, v)[2] * weight
+            hits[at] = _plus(hits[at], share_of_hit(q, u, v)[2] * weight)
         return int(touch(touched, i >> 1, j >> 1, revision))
     fresh = 0
     for q in range(4):
         i, j, share = share_of_hit(q, u, v)
         if share and half_inside(i, j, window):
             address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
-            hits[address] = np.int64(hits[address]) + share * weight
+            hits[address] = _plus(hits[address], share * weight)
             fresh += touch(touched, i >> 1, j >> 1, revision)
     return fresh
 
