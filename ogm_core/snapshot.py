@@ -97,9 +97,8 @@ class MapSnapshot:
     def encode(self, encoder: Encoder, rows: slice = _ALL) -> NDArray[Any]:
         """What an elementwise encoder makes of the cells of some rows."""
         south, north, _ = rows.indices(self.height)
-        encoded = np.empty(
-            (max(north - south, 0), self.width), encoder(np.empty(0), np.empty(0, np.bool_)).dtype
-        )
+        dtype = encoder(np.empty(0), np.empty(0, np.bool_), self.model.free_below).dtype
+        encoded = np.empty((max(north - south, 0), self.width), dtype)
         for band in row_bands(encoded.shape):
             part = slice(south + band.start, min(south + band.stop, north))
             planes = self.stored.planes(part, _ALL, self.model.margin)

@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 import httpx
 from jsonschema import Draft202012Validator
 
+from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
 
@@ -37,9 +38,9 @@ class DescribedClient(httpx.Client):
 @cache
 def document():
     """The description, made without a mapper: it is the same of each."""
-    return json.loads(
-        json.dumps(build_app(*[MagicMock()] * 4, access=HttpAccess(), shares=MagicMock()).openapi())
-    )
+    answers = MagicMock(free_below=FREE_BELOW)
+    app = build_app(answers, *[MagicMock()] * 3, access=HttpAccess(), shares=MagicMock())
+    return json.loads(json.dumps(app.openapi()))
 
 
 @cache

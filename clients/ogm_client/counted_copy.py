@@ -24,18 +24,24 @@ Tiles = Mapping[Place, Mapping[str, NDArray[Any]]]
 
 
 def lay_out_counts(
-    tiles: Tiles, stale: Iterable[Place], extent: CellRect, log_odds: NDArray[np.float32], per_cell: int
+    tiles: Tiles,
+    stale: Iterable[Place],
+    extent: CellRect,
+    log_odds: NDArray[np.float32],
+    per_cell: int,
+    free_below: float,
 ) -> None:
     """Put the log odds of tiles and of the cells around them where they lie in a map of this extent.
 
     As /map.npz has them: cells half as wide, or with 1 `per_cell` those that are counted in; NaN where
-    unknown; what juts out is left out.
+    unknown; what juts out is left out. Read back they are free where they are counted free.
     """
     for tx, ty in stale:
         part = CellRect(tx * TILE, ty * TILE, TILE, TILE).widened(SPREAD).intersection(extent)
         if not part.cells:
             continue
-        served = log_odds_of(*(_cells(tiles, part) if per_cell == 1 else _halves(tiles, part)))
+        published = _cells(tiles, part) if per_cell == 1 else _halves(tiles, part)
+        served = log_odds_of(*published, free_below)
         y, x = per_cell * (part.iy - extent.iy), per_cell * (part.ix - extent.ix)
         log_odds[y : y + served.shape[0], x : x + served.shape[1]] = served
 

@@ -33,6 +33,7 @@ class GridQueries:
     revision: int
     stamp: int | None
     run: str
+    free_below: float
 
     @overload
     def raycast(
@@ -79,6 +80,7 @@ class GridQueries:
         caster = RayCaster(
             *(self.log_odds, Lattice(self.resolution, self.anchor), self.offset, (x, y), max_range),
             through_unknown=goes_through(unknown),
+            free_below=self.free_below,
         )
         rays = [caster.cast(bearing) for bearing in bearings.ravel().tolist()]
         told = [Ray(distance, WORDS[found]) for found, distance in rays]
@@ -112,7 +114,7 @@ class GridQueries:
         log_odds = self.log_odds[south : south + part.height, west : west + part.width]
         if not part.cells:
             log_odds = self.log_odds[:0]
-        states = asked.states(trinary(probability_of(log_odds), ~np.isnan(log_odds)), part)
+        states = asked.states(trinary(probability_of(log_odds), ~np.isnan(log_odds), self.free_below), part)
         return np.array([STATES[state] for state in states.tolist()], np.str_)
 
     def distance(self, max_distance: float = math.inf) -> MapLayer:
@@ -143,7 +145,7 @@ class GridQueries:
 
     def _states(self) -> tuple[NDArray[np.int8], CellRect]:
         height, width = self.log_odds.shape
-        states = trinary(probability_of(self.log_odds), ~np.isnan(self.log_odds))
+        states = trinary(probability_of(self.log_odds), ~np.isnan(self.log_odds), self.free_below)
         return states, CellRect(0, 0, width, height)
 
     def _layer(self, values: NDArray[Any]) -> MapLayer:

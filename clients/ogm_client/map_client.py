@@ -242,7 +242,7 @@ class MapClient(MapQueries):
             raise BadReply(str(error)) from error
         epoch, run, revision = reply.version
         place = npz.resolution, npz.anchor, npz.offset
-        return MapGrid(npz.log_odds, *place, epoch, revision, reply.stamp, run)
+        return MapGrid(npz.log_odds, *place, epoch, revision, reply.stamp, run, npz.free_below)
 
 
 def _transport(

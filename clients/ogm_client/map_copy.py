@@ -14,6 +14,7 @@ from ogm_client.map_grid import MapGrid
 from ogm_client.transport import Version
 from ogm_core.cells.log_odds import PLANE
 from ogm_core.cells.rate import PLANES
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.store import TILE, tile_bytes
 from ogm_core.wire.map_update import MapUpdate
@@ -130,7 +131,7 @@ class MapCopy:
             self._shown, self._shown_of = np.full(shape, np.nan, np.float64 if exact else np.float32), extent
             self._stale = set(self._tiles)
         if self._counts:
-            lay_out_counts(self._tiles, self._stale, extent, self._shown, per_cell)
+            lay_out_counts(self._tiles, self._stale, extent, self._shown, per_cell, self._free_below)
         else:
             for place in self._stale:
                 _lay_out(self._tiles[place][PLANE], place, newest, self._shown)
@@ -144,6 +145,7 @@ class MapCopy:
             revision=newest.revision,
             stamp=newest.stamp,
             run=newest.run,
+            free_below=self._free_below,
         )
 
     @property
@@ -155,6 +157,11 @@ class MapCopy:
     def _per_cell(self) -> int:
         """How many cells of `grid` lie along a side of one of the map's."""
         return PER_CELL if self._counts and not self._coarse else 1
+
+    @property
+    def _free_below(self) -> float:
+        told = FREE_BELOW if self.newest is None else self.newest.model.get("free_below", FREE_BELOW)
+        return float(told)
 
     @property
     def _counts(self) -> bool:
@@ -219,6 +226,9 @@ def _places(update: MapUpdate) -> list[Place]:
 def _check_model(update: MapUpdate) -> None:
     """Refuse what this client cannot make log odds of: it can of log odds, and of counts."""
     model, planes = update.model, update.planes
+    free_below = model.get("free_below", FREE_BELOW)
+    if not isinstance(free_below, int | float) or not 0.0 < free_below < OCCUPIED_ABOVE:
+        raise BadReply(f"map.tiles: free_below {free_below!r} is no probability below {OCCUPIED_ABOVE}")
     if model["name"] == MODEL:
         if planes != PLANES:
             told = ", ".join(plane.name for plane in planes)

@@ -17,9 +17,17 @@ from ogm_core.cells.arrays import CellArrays
 from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds, probability_of
 from ogm_core.cells.model import StoredCells
+from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadParameter
 from ogm_core.files.file_names import check_suffix, ros_map_names
-from ogm_core.files.map_files import MAX_NPZ_BYTES, encode_pgm, encode_png, encode_yaml, load_npz
+from ogm_core.files.map_files import (
+    MAX_NPZ_BYTES,
+    encode_pgm,
+    encode_png,
+    encode_yaml,
+    load_npz,
+    own_free_below,
+)
 from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import RobotStatus
@@ -43,7 +51,8 @@ class MapGrid(GridQueries):
     `log_odds` is ln(p / (1 - p)) of "occupied", NaN where unknown; float64 of a float64 map, else float32.
     `resolution` is metres per cell; `anchor` the world position of the lower-left corner of cell (0, 0), m;
     `epoch`, `run` (of the mapper's process) and `revision` name the map's state together; `stamp` is its
-    newest scan's, ns since the Unix epoch, or None. A notebook shows a grid as a picture with a scale bar.
+    newest scan's, ns since the Unix epoch, or None. Cells of p < `free_below` are free. A
+    notebook shows a grid as a picture with a scale bar.
     """
 
     log_odds: NDArray[np.floating[Any]]
@@ -54,6 +63,7 @@ class MapGrid(GridQueries):
     revision: int
     stamp: int | None
     run: str = ""
+    free_below: float = FREE_BELOW
 
     @classmethod
     def from_snapshot(cls, snapshot: MapSnapshot) -> "MapGrid":
@@ -73,7 +83,8 @@ class MapGrid(GridQueries):
         log_odds = snapshot.model.arrays(snapshot.stored).get(PLANE)
         if log_odds is None:  # a model that keeps something else
             log_odds = np.where(snapshot.published()[1], snapshot.log_odds(), np.nan)
-        return cls(log_odds, *place, snapshot.epoch, snapshot.revision, snapshot.stamp, snapshot.run)
+        version = snapshot.epoch, snapshot.revision, snapshot.stamp
+        return cls(log_odds, *place, *version, snapshot.run, snapshot.model.free_below)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, max_bytes: int = MAX_NPZ_BYTES) -> "MapGrid":
@@ -86,7 +97,8 @@ class MapGrid(GridQueries):
             BadMapFile: it cannot be read, holds something else or too much; the text says what is wrong.
         """
         npz = load_npz(Path(path), max_bytes=max_bytes)
-        return cls(npz.log_odds, npz.resolution, npz.anchor, npz.offset, epoch="", revision=0, stamp=None)
+        place = npz.resolution, npz.anchor, npz.offset
+        return cls(npz.log_odds, *place, epoch="", revision=0, stamp=None, free_below=npz.free_below)
 
     @property
     def width(self) -> int:
@@ -116,8 +128,8 @@ class MapGrid(GridQueries):
 
     @property
     def occupancy(self) -> NDArray[np.int8]:
-        """100 where occupied (p > 0.65), 0 where free (p < 0.196), -1 where undecided or unknown."""
-        return trinary(self.probability, self.known)
+        """100 where occupied (p > 0.65), 0 where free (p < free_below), -1 where undecided or unknown."""
+        return trinary(self.probability, self.known, self.free_below)
 
     def world_to_cell(self, x: float, y: float) -> tuple[int, int]:
         """The own index (ix, iy) of the cell that holds the point (x, y), m, be it in this grid or not.
@@ -188,14 +200,14 @@ class MapGrid(GridQueries):
         """
         check_suffix(Path(path), ".npz")
         with whole_file(Path(path)) as file:  # given a path, numpy would add a suffix of its own
-            np.savez_compressed(
-                file,
-                log_odds=self.log_odds,
-                resolution=np.array(self.resolution),
-                origin=np.array(self.origin),
-                offset=np.array(self.offset, np.int64),
-                anchor=np.array(self.anchor),
-            )
+            arrays: dict[str, NDArray[Any]] = {
+                "log_odds": self.log_odds,
+                "resolution": np.array(self.resolution),
+                "origin": np.array(self.origin),
+                "offset": np.array(self.offset, np.int64),
+                "anchor": np.array(self.anchor),
+            }
+            np.savez_compressed(file, allow_pickle=False, **arrays, **own_free_below(self.free_below))
 
     def save_ros_map(self, path: str | os.PathLike[str]) -> None:
         """Write the pair that ROS 2 nav2 map_server loads, NAME.yaml and, beside it, NAME.pgm.
@@ -245,7 +257,7 @@ class MapGrid(GridQueries):
         return html_of(self.to_snapshot())
 
     def _snapshot_of(self, cells: StoredCells) -> MapSnapshot:
-        model = LogOdds(cells="float64")
+        model = LogOdds(cells="float64", free_below=self.free_below)
         stored = CellArrays.of(model, cells)
         place = self._lattice, self.offset
         return MapSnapshot(stored, model, *place, self.epoch, self.revision, self.stamp, run=self.run)

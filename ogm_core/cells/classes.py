@@ -1,17 +1,14 @@
 """Cell classes and palettes: what is served of (probability, known), element by element.
 
 Every encoder here is a `model.Encoder`: hand it to `MapSnapshot.encode`, or call it with two
-arrays of one shape.
+arrays of one shape, and with the map's `free_below` if it has one of its own.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.model import Known, Probability
-
-OCCUPIED_ABOVE = 0.65
-FREE_BELOW = 0.196
-"""Probabilities beyond which a cell counts as occupied, or as free; nav2 map_server's thresholds."""
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 
 OCCUPIED = 100
 FREE = 0
@@ -26,25 +23,26 @@ GREY_MIDDLE = 127
 """Unknown in a probability picture."""
 
 
-def trinary(p: Probability, known: Known) -> NDArray[np.int8]:
-    """100 where occupied (p > 0.65), 0 where free (p < 0.196), -1 where undecided or unknown."""
-    return _three(p, known, OCCUPIED, FREE, UNKNOWN).astype(np.int8)
+def trinary(p: Probability, known: Known, free_below: float = FREE_BELOW) -> NDArray[np.int8]:
+    """100 where occupied (p > 0.65), 0 where free (p < free_below), -1 where undecided or unknown."""
+    return _three(p, known, free_below, (OCCUPIED, FREE, UNKNOWN)).astype(np.int8)
 
 
-def ros_grey(p: Probability, known: Known) -> NDArray[np.uint8]:
-    """0 where occupied (p > 0.65), 254 where free (p < 0.196), 205 where undecided or unknown."""
-    return _three(p, known, GREY_OCCUPIED, GREY_FREE, GREY_UNKNOWN).astype(np.uint8)
+def ros_grey(p: Probability, known: Known, free_below: float = FREE_BELOW) -> NDArray[np.uint8]:
+    """0 where occupied (p > 0.65), 254 where free (p < free_below), 205 where undecided or unknown."""
+    return _three(p, known, free_below, (GREY_OCCUPIED, GREY_FREE, GREY_UNKNOWN)).astype(np.uint8)
 
 
-def probability_grey(p: Probability, known: Known) -> NDArray[np.uint8]:
+def probability_grey(p: Probability, known: Known, _free_below: float = FREE_BELOW) -> NDArray[np.uint8]:
     """floor(255 p + 0.5), brighter is more likely occupied; 127 where unknown."""
     return np.where(known, np.floor(255.0 * p + 0.5), GREY_MIDDLE).astype(np.uint8)
 
 
-def percent(p: Probability, known: Known) -> NDArray[np.int8]:
+def percent(p: Probability, known: Known, _free_below: float = FREE_BELOW) -> NDArray[np.int8]:
     """floor(100 p + 0.5), or -1 where unknown."""
     return np.where(known, np.floor(100.0 * p + 0.5), UNKNOWN).astype(np.int8)
 
 
-def _three(p: Probability, known: Known, occupied: int, free: int, neither: int) -> NDArray[np.int_]:
-    return np.where(known & (p > OCCUPIED_ABOVE), occupied, np.where(known & (p < FREE_BELOW), free, neither))
+def _three(p: Probability, known: Known, free_below: float, values: tuple[int, int, int]) -> NDArray[np.int_]:
+    occupied, free, neither = values
+    return np.where(known & (p > OCCUPIED_ABOVE), occupied, np.where(known & (p < free_below), free, neither))

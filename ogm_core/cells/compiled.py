@@ -7,4 +7,4 @@ from ogm_core.cells.rate import Rate
 
 def compiled(model: CellModel) -> CellModel:
     """The same model; what it publishes is made many times faster."""
-    return Rate(rate_kernel.publish) if isinstance(model, Rate) else model
+    return Rate(rate_kernel.publish, model.free_below) if isinstance(model, Rate) else model

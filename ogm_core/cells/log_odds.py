@@ -36,6 +36,7 @@ from ogm_core.cells.model import (
     row_bands,
 )
 from ogm_core.cells.published import pooled_extreme
+from ogm_core.cells.thresholds import FREE_BELOW, check_free_below
 from ogm_core.errors import BadSetting
 
 CellType = Literal["int16", "float64"]
@@ -72,9 +73,11 @@ def logit(p: float) -> float:
 class LogOdds(CellModel):
     """A log-odds model: probabilities of the prior and of the two observations, clamps, storage form.
 
+    `free_below` is what the map shows as free.
+
     Raises:
-        BadSetting: not p_free < p_prior < p_occ, not l_min < l0 < l_max, or an observation is too weak to
-            be stored as int16.
+        BadSetting: not p_free < p_prior < p_occ, not l_min < l0 < l_max, an observation is too weak to be
+            stored as int16, or `free_below` is not below what is occupied.
     """
 
     forgets = True
@@ -85,8 +88,10 @@ class LogOdds(CellModel):
     p_free: float = 0.3
     l_min: float = -8.0
     l_max: float = 8.0
+    free_below: float = FREE_BELOW
 
     def __post_init__(self) -> None:
+        check_free_below(self.free_below)
         values = (self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)
         if not all(map(math.isfinite, values)):
             raise BadSetting("p_prior, p_occ, p_free, l_min, l_max: finite numbers are needed")
@@ -191,12 +196,12 @@ class LogOdds(CellModel):
         return _table(self, encoder)
 
     def encode(self, cells: StoredCells, encoder: Encoder) -> NDArray[Any]:
-        """Apply an elementwise `encoder` of (probability, known); to int16 by what it makes of each value."""
-        encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_)).dtype)
+        """Apply an elementwise `encoder`; to int16 by what it makes of each value."""
+        encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_), self.free_below).dtype)
         for band in row_bands(cells.shape):
             part = cells[band]
             if cells.dtype == np.float64:
-                encoded[band] = encoder(self.probability(part), self.known(part))
+                encoded[band] = encoder(self.probability(part), self.known(part), self.free_below)
             elif _steps(self, encoder):
                 _encode_by_steps(part, _steps(self, encoder), encoded[band].view(np.uint8))
             else:
@@ -264,7 +269,7 @@ class LogOdds(CellModel):
 def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
     """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
     every = np.arange(2**16, dtype=np.uint16).view(np.int16)
-    return encoder(model.probability(every), model.known(every))
+    return encoder(model.probability(every), model.known(every), model.free_below)
 
 
 @lru_cache(maxsize=16)

@@ -11,14 +11,16 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.thresholds import FREE_BELOW
+
 StoredCells = NDArray[Any]
 """Cells of a plane as a model stores them, any shape; a stored 0 was never updated."""
 Planes = Mapping[str, StoredCells]
 """The planes of a rectangle of cells by name, each [iy, ix], row 0 south; of side 2, twice as many a side."""
 Probability = NDArray[np.float64]
 Known = NDArray[np.bool_]
-Encoder = Callable[[Probability, Known], NDArray[Any]]
-"""From (probability, known) of cells to what is served of them, element by element."""
+Encoder = Callable[[Probability, Known, float], NDArray[Any]]
+"""From (probability, known, free_below) of cells to what is served of them, element by element."""
 
 MAX_MARGIN = 3
 P_EDGE = 1e-9
@@ -110,6 +112,8 @@ class CellModel(ABC):
     """How many cells along a side of one the map can be served in: 2 if it has `halved`."""
     margin: int = 0
     """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
+    free_below: float = FREE_BELOW
+    """Which probabilities mean "free": it changes what the map shows, never what it keeps."""
     forgets: bool = False
     """Whether it has `decayed`: what a map with a half-life needs."""
 
@@ -127,6 +131,12 @@ class CellModel(ABC):
     def described(self) -> dict[str, str | float]:
         """What a program that is sent the planes must know to read them: `name`, and constants."""
         return {"name": type(self).__name__}
+
+    @property
+    def told(self) -> dict[str, str | float]:
+        """`described`, and `free_below` of a map that has one of its own."""
+        own = {} if self.free_below == FREE_BELOW else {"free_below": self.free_below}
+        return {**self.described, **own}
 
     @abstractmethod
     def update(
@@ -160,7 +170,7 @@ class CellModel(ABC):
 
     def encoded(self, planes: Planes, encoder: Encoder) -> NDArray[Any]:
         """What an elementwise encoder makes of the same cells."""
-        return encoder(*self.published(planes))
+        return encoder(*self.published(planes), self.free_below)
 
     def table_of(self, encoder: Encoder) -> NDArray[Any] | None:
         """What an elementwise encoder makes of every number of 16 bits, shape (65536,), by its bits.

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import OCCUPIED_ABOVE
 from ogm_core.cells.model import CellModel, CellSource, Known, Plane, Planes, Probability, row_bands
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 
 
 class PublishedCells(CellModel):
@@ -15,9 +15,9 @@ class PublishedCells(CellModel):
     sensor_models = frozenset()
     planes = (Plane("probability", np.dtype(np.float64)), Plane("known", np.dtype(np.uint8)))
 
-    def __init__(self, l0: float) -> None:
-        """Cells of a model whose prior has the log odds `l0`."""
-        self._l0 = l0
+    def __init__(self, l0: float, free_below: float = FREE_BELOW) -> None:
+        """Cells of a model whose prior has the log odds `l0`, and whose cells are free below this."""
+        self._l0, self.free_below = l0, free_below
 
     @property
     def l0(self) -> float:
@@ -48,7 +48,7 @@ def pooled_probabilities(model: CellModel, source: CellSource, factor: int) -> t
     any_known = highest >= 0.0
     prior = 1.0 / (1.0 + np.exp(-model.l0))
     planes = {"probability": np.where(any_known, blocks, prior), "known": any_known.astype(np.uint8)}
-    return PublishedCells(model.l0), planes
+    return PublishedCells(model.l0, model.free_below), planes
 
 
 def pooled_extreme(extreme: np.ufunc, cells: NDArray[Any], factor: int) -> NDArray[Any]:

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.halves import HITS, PASSING, PLANES_OF_HALVES, UNANSWERED, Halves, passing_of
 from ogm_core.cells.log_odds import PLANE as LOG_ODDS
 from ogm_core.cells.log_odds import logit, probability_of
@@ -50,6 +49,7 @@ from ogm_core.cells.rate_publishing import (
     Unanswered,
     publish,
 )
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE, check_free_below
 
 PLANES = (
     Plane("N", np.dtype(np.uint16)),
@@ -70,15 +70,20 @@ class _Counted(CellModel):
     per_cell: int
     """How many of its cells lie along the side of one in which beams are counted."""
 
-    def __init__(self, publish: Publish = publish) -> None:
-        """Cells that are published by NumPy, or by its compiled twin (see cells.rate_kernel)."""
-        self.publish = publish
+    def __init__(self, publish: Publish = publish, free_below: float = FREE_BELOW) -> None:
+        """Cells that are published by NumPy, or by its compiled twin (see cells.rate_kernel).
+
+        Raises:
+            BadSetting: `free_below` is not below what is occupied.
+        """
+        check_free_below(free_below)
+        self.publish, self.free_below = publish, free_below
 
     def __eq__(self, other: object) -> bool:
-        return type(other) is type(self)
+        return type(other) is type(self) and other.free_below == self.free_below
 
     def __hash__(self) -> int:
-        return hash(type(self))
+        return hash((type(self), self.free_below))
 
     @abstractmethod
     def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
@@ -104,7 +109,9 @@ class _Counted(CellModel):
         """
         served = np.empty(source.shape, np.float32)
         for rows in row_bands(source.shape):
-            served[rows] = log_odds_of(*self.published(source.planes(rows, margin=self.margin)))
+            served[rows] = log_odds_of(
+                *self.published(source.planes(rows, margin=self.margin)), self.free_below
+            )
         counted = source.cells if isinstance(source, Halves) else source
         return {LOG_ODDS: served, **counted.planes(), "per_cell": np.array(self.per_cell)}
 
@@ -143,7 +150,7 @@ class Rate(_Counted):
 
     def halved(self, source: CellSource) -> tuple[CellModel, CellSource]:
         """The halves, which tell more than the cells."""
-        return RateHalves(self.publish), Halves(source)
+        return RateHalves(self.publish, self.free_below), Halves(source)
 
 
 class RateHalves(_Counted):
@@ -164,12 +171,12 @@ class RateHalves(_Counted):
         return planes[PASSING], planes[HITS], planes[UNANSWERED]
 
 
-def log_odds_of(p: Probability, known: Known) -> NDArray[np.float32]:
+def log_odds_of(p: Probability, known: Known, free_below: float = FREE_BELOW) -> NDArray[np.float32]:
     """Log odds that read back as p, up to rounding, and as the very same class; NaN where unknown."""
     within = np.clip(p, P_EDGE, 1.0 - P_EDGE)
     served = np.log(within / (1.0 - within)).astype(np.float32)
     read = probability_of(served)
-    for threshold in (OCCUPIED_ABOVE, FREE_BELOW):  # many cells are just as likely as CEILING
+    for threshold in (OCCUPIED_ABOVE, free_below):  # many cells are just as likely as CEILING
         served[(p <= threshold) & (read > threshold)] = np.nextafter(np.float32(logit(threshold)), -np.inf)
         served[(p >= threshold) & (read < threshold)] = np.nextafter(np.float32(logit(threshold)), np.inf)
     served[~known] = np.nan

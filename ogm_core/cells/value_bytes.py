@@ -3,8 +3,10 @@
     0           1 ... 50     51 ... 166     167 ... 255
     unknown     free         undecided      occupied
 
-Classes are exact, and p is about (byte - 1) / 254: off by 0.0036 at most. The byte rises with p, so that
-blocks of cells can be joined by their bytes (tiles.overviews), and a palette is a colour for each byte.
+Classes are exact, and p is about (byte - 1) / 254: off by 0.0036 at most. In a map with a `free_below` of its
+own, what lies between that and 0.196 is off by more: it has the nearest byte of its class. The byte rises
+with p, so that blocks of cells can be joined by their bytes (tiles.overviews), and a palette is a colour for
+each byte.
 """
 
 from collections.abc import Mapping
@@ -14,16 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import (
-    FREE_BELOW,
     GREY_FREE,
     GREY_MIDDLE,
     GREY_OCCUPIED,
     GREY_UNKNOWN,
-    OCCUPIED_ABOVE,
     percent,
     probability_grey,
 )
 from ogm_core.cells.model import Known, Probability
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 
 UNKNOWN_BYTE = 0
 FREE_LAST = 50
@@ -47,14 +48,14 @@ Their lightness rises evenly, and who sees red and green alike sees them as othe
 """
 
 
-def value_byte(p: Probability, known: Known) -> NDArray[np.uint8]:
+def value_byte(p: Probability, known: Known, free_below: float = FREE_BELOW) -> NDArray[np.uint8]:
     """1 + floor(254 p + 0.5), kept within the bytes of the cell's class; 0 where unknown."""
     byte = np.floor(LEVELS * p + 1.5)
     in_class = np.where(
         p > OCCUPIED_ABOVE,
         np.maximum(byte, OCCUPIED_FIRST),
         np.where(
-            p < FREE_BELOW, np.minimum(byte, FREE_LAST), np.clip(byte, FREE_LAST + 1, OCCUPIED_FIRST - 1)
+            p < free_below, np.minimum(byte, FREE_LAST), np.clip(byte, FREE_LAST + 1, OCCUPIED_FIRST - 1)
         ),
     )
     return np.where(known, in_class, UNKNOWN_BYTE).astype(np.uint8)

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.model import Plane
+from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadInput, BadMapFile
-from ogm_core.files.map_files import check_place
+from ogm_core.files.map_files import check_place, read_free_below
 from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 
 PER_CELL = "per_cell"
@@ -28,6 +29,7 @@ class CountedMap:
     resolution: float
     anchor: tuple[float, float]
     offset: tuple[int, int]
+    free_below: float = FREE_BELOW
 
 
 def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> CountedMap | None:
@@ -41,6 +43,7 @@ def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> Counte
             if PER_CELL not in arrays:
                 return None
             place, side = check_place(arrays, str(path)), _per_cell(arrays, str(path))
+            free_below = read_free_below(arrays, str(path))
             planes = _planes(arrays, list(kinds), str(path), max_bytes)
     except OSError as error:
         raise BadMapFile(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -51,7 +54,7 @@ def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> Counte
             f"{path}: not a map that was saved here and can be read ({str(error)[:400]})"
         ) from error
     ix, iy = (value // side for value in place.offset)
-    return CountedMap(planes, place.resolution * side, place.anchor, (ix, iy))
+    return CountedMap(planes, place.resolution * side, place.anchor, (ix, iy), free_below)
 
 
 def _per_cell(arrays: NpzArrays, name: str) -> int:

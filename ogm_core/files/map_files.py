@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import percent, probability_grey, ros_grey, trinary
 from ogm_core.cells.model import Encoder, Known, Probability
+from ogm_core.cells.thresholds import FREE_BELOW, check_free_below
 from ogm_core.cells.value_bytes import COLOURS, value_byte
-from ogm_core.errors import BadInput, BadMapFile, BadParameter, MapEmpty, cut
+from ogm_core.errors import BadInput, BadMapFile, BadParameter, BadSetting, MapEmpty, cut
 from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 from ogm_core.files.ros_map_writer import Seal, write_pgm, write_yaml
 from ogm_core.lattice import MAX_INDEX
@@ -25,6 +26,7 @@ from ogm_core.snapshot import MapSnapshot
 
 FRAME = "map"
 DEFAULT_PALETTE = "ros"
+_FREE_BELOW = "free_below"
 PALETTES: dict[str, Encoder] = {DEFAULT_PALETTE: ros_grey, "probability": probability_grey}
 """Of grey pictures; those of `cells.value_bytes` have colours, or let through what is unknown."""
 
@@ -89,7 +91,7 @@ def encode_yaml(snap: MapSnapshot, image_name: str, pgm: bytes | None = None) ->
         MapEmpty: there is no picture to describe.
     """
     seal = Seal(snap.width, snap.height, zlib.crc32(encode_pgm(snap) if pgm is None else pgm))
-    return write_yaml(image_name, snap.resolution, snap.origin, seal).encode()
+    return write_yaml(image_name, snap.resolution, snap.origin, seal, snap.model.free_below).encode()
 
 
 def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> bytes:
@@ -110,10 +112,18 @@ def encode_json(snap: MapSnapshot, map_name: str, values: str = "percent") -> by
 def encode_npz(snap: MapSnapshot) -> bytes:
     """NumPy archive, equal bytes for equal maps: the cells, `resolution`, `origin`, `offset`, `anchor`.
 
+    And `free_below` of a map that has one of its own.
+
     What is there of the cells, [iy, ix], row 0 south, is the cell model's `arrays`: of log odds, `log_odds`,
     NaN where unknown, float64 of float64 cells, else float32.
     """
-    return pack({**snap.model.arrays(snap.stored), **place_arrays(snap)})
+    return pack(
+        {
+            **snap.model.arrays(snap.stored),
+            **place_arrays(snap),
+            **own_free_below(snap.model.free_below),
+        }
+    )
 
 
 def place_arrays(snap: MapSnapshot) -> dict[str, NDArray[Any]]:
@@ -124,6 +134,11 @@ def place_arrays(snap: MapSnapshot) -> dict[str, NDArray[Any]]:
         "offset": np.array(snap.offset, np.int64),
         "anchor": np.array(snap.lattice.anchor),
     }
+
+
+def own_free_below(value: float) -> dict[str, NDArray[Any]]:
+    """What an archive says of a `free_below` that is not the usual one."""
+    return {} if value == FREE_BELOW else {_FREE_BELOW: np.array(value)}
 
 
 def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -156,6 +171,7 @@ class NpzMap:
     resolution: float
     anchor: tuple[float, float]
     offset: tuple[int, int]
+    free_below: float = FREE_BELOW
 
 
 def read_npz(data: bytes, name: str = "map.npz", *, max_bytes: int = MAX_NPZ_BYTES) -> NpzMap:
@@ -193,13 +209,13 @@ def _read_npz(file: BinaryIO, name: str, max_bytes: int) -> NpzMap:
                 raise BadInput(
                     f"{name}: its cells take {packed.nbytes} bytes, at most {max_bytes} are allowed"
                 )
-            place = check_place(arrays, name)
+            place, free_below = check_place(arrays, name), read_free_below(arrays, name)
             log_odds = packed.read()
     except UNREADABLE as error:
         raise BadInput(
             f"{name}: not a map that was saved here and can be read ({str(error)[:400]})"
         ) from error
-    return NpzMap(log_odds, *place)
+    return NpzMap(log_odds, *place, free_below)
 
 
 def check_place(arrays: NpzArrays, name: str) -> Place:
@@ -220,6 +236,22 @@ def check_place(arrays: NpzArrays, name: str) -> Place:
     x, y = anchor.tolist()
     ix, iy = offset.tolist()
     return Place(float(resolution), (x, y), (ix, iy))
+
+
+def read_free_below(arrays: NpzArrays, name: str) -> float:
+    """Which probabilities mean free in the map of an archive.
+
+    Raises:
+        BadInput: that cannot be; the text begins with `name`.
+    """
+    if _FREE_BELOW not in arrays:
+        return FREE_BELOW
+    value = float(_values(arrays, _FREE_BELOW, (), np.float64))
+    try:
+        check_free_below(value)
+    except BadSetting as error:
+        raise BadInput(f"{name}: {error}") from error
+    return value
 
 
 def _values(arrays: NpzArrays, name: str, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:
@@ -250,12 +282,12 @@ def chosen(choices: Mapping[str, _T], what: str, name: str) -> _T:
     return choices[name]
 
 
-def _json_percent(p: Probability, known: Known) -> NDArray[np.uint32]:
+def _json_percent(p: Probability, known: Known, _free_below: float) -> NDArray[np.uint32]:
     return _ENTRIES[percent(p, known) + 1]
 
 
-def _json_trinary(p: Probability, known: Known) -> NDArray[np.uint32]:
-    return _ENTRIES[trinary(p, known) + 1]
+def _json_trinary(p: Probability, known: Known, free_below: float) -> NDArray[np.uint32]:
+    return _ENTRIES[trinary(p, known, free_below) + 1]
 
 
 VALUES: dict[str, Encoder] = {"percent": _json_percent, "trinary": _json_trinary}

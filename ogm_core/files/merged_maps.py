@@ -13,6 +13,7 @@ from ogm_core.cells.compiled import compiled
 from ogm_core.cells.model import cell_bytes
 from ogm_core.cells.rate import PLANES, Rate
 from ogm_core.cells.rate_sums import add_counts
+from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.errors import BadMapFile
 from ogm_core.files.counted_maps import CountedMap, load_counts
 from ogm_core.grid_settings import DEFAULT_MAX_CELLS
@@ -25,15 +26,16 @@ _SIDES = {plane.name: plane.side for plane in PLANES}
 def merge_maps(paths: Sequence[Path], *, max_cells: int = DEFAULT_MAX_CELLS) -> MapSnapshot:
     """The map of all scans of these maps, which were saved as NPZ; one is in memory at a time.
 
-    It covers the smallest rectangle that holds them all.
+    It covers the smallest rectangle that holds them all, and its `free_below` is the smallest of theirs.
 
     Raises:
         BadMapFile: one cannot be read, keeps no counts, or is not of the first one's lattice; or together
             they cover more than `max_cells`, as no map may.
     """
-    sums = None
+    sums, free_below = None, OCCUPIED_ABOVE
     for path in paths:
         found = _counts(path, max_cells)
+        free_below = min(free_below, found.free_below)
         if sums is not None:
             _check_lattice(found, sums, path, paths[0])
             sums = _widened(sums, found, path, max_cells)
@@ -44,7 +46,7 @@ def merge_maps(paths: Sequence[Path], *, max_cells: int = DEFAULT_MAX_CELLS) -> 
         raise BadMapFile("there is no map to merge")
     cells = CellArrays(sums.planes, _SIDES)
     lattice = Lattice(sums.resolution, sums.anchor)
-    return MapSnapshot(cells, compiled(Rate()), lattice, sums.offset, "", 0, None)
+    return MapSnapshot(cells, compiled(Rate(free_below=free_below)), lattice, sums.offset, "", 0, None)
 
 
 def _counts(path: Path, max_cells: int) -> CountedMap:

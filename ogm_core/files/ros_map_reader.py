@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE, FREE_BELOW, OCCUPIED, OCCUPIED_ABOVE, UNKNOWN
+from ogm_core.cells.classes import FREE, OCCUPIED, UNKNOWN
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.errors import BadMapFile, BadSetting
 from ogm_core.files.grey_pictures import GreyPicture, read_picture
 from ogm_core.files.strict_yaml import NUMBER, parse_yaml, read_text, shown

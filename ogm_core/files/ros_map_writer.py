@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.classes import GREY_FREE, GREY_UNKNOWN
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 
 
 def write_pgm(grey: NDArray[np.uint8]) -> bytes:
@@ -28,7 +29,11 @@ class Seal(NamedTuple):
 
 
 def write_yaml(
-    image_name: str, resolution: float, origin: tuple[float, float], seal: Seal | None = None
+    image_name: str,
+    resolution: float,
+    origin: tuple[float, float],
+    seal: Seal | None = None,
+    free_below: float = FREE_BELOW,
 ) -> str:
     """Map description for a trinary picture, every number exact.
 
@@ -37,8 +42,11 @@ def write_yaml(
         resolution: metres per pixel.
         origin: world position of the picture's lower-left corner, m.
         seal: of the picture; without one, any picture is taken for it.
+        free_below: the map's own; what is written is limited to what leaves white free and 205 unknown.
     """
     x, y = origin
+    white, unknown = (1.0 - grey / 255.0 for grey in (GREY_FREE, GREY_UNKNOWN))
+    free = free_below if white < free_below < unknown else FREE_BELOW
     lines = (
         f"image: {json.dumps(image_name, ensure_ascii=False)}",
         "mode: trinary",
@@ -46,7 +54,7 @@ def write_yaml(
         f"origin: [{_number(x)}, {_number(y)}, 0.0]",
         "negate: 0",
         f"occupied_thresh: {_number(OCCUPIED_ABOVE)}",
-        f"free_thresh: {_number(FREE_BELOW)}",
+        f"free_thresh: {_number(free)}",
         *(f"{key}: {value}" for key, value in (seal._asdict() if seal else {}).items()),
     )
     return "\n".join(lines) + "\n"

@@ -24,7 +24,10 @@ CLASSES = ("unknown", "free", "undecided", "occupied")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassMap:
-    """Classes of a map's cells, [iy, ix], row 0 south, where they lie, and what the map is called."""
+    """Classes of a map's cells, [iy, ix], row 0 south, where they lie, and what the map is called.
+
+    Free is what the map itself calls so.
+    """
 
     classes: NDArray[np.uint8]
     place: Place
@@ -57,7 +60,7 @@ def read_class_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> 
 
 def _of_log_odds(path: Path) -> ClassMap:
     npz = load_npz(path)
-    classes = four_classes(probability_of(npz.log_odds), ~np.isnan(npz.log_odds))
+    classes = four_classes(probability_of(npz.log_odds), ~np.isnan(npz.log_odds), npz.free_below)
     return ClassMap(classes, Place(npz.resolution, npz.anchor, npz.offset), str(path))
 
 
@@ -65,6 +68,7 @@ def _of_counts(counted: CountedMap, path: Path) -> ClassMap:
     """Classes of the finest cells that counts tell of: exact, as log odds that are rounded are not."""
     cells = CellArrays(counted.planes, {plane.name: plane.side for plane in PLANES})
     lattice = Lattice(counted.resolution, counted.anchor)
-    finest = MapSnapshot(cells, compiled(Rate()), lattice, counted.offset, "", 0, None).finest()
+    model = compiled(Rate(free_below=counted.free_below))
+    finest = MapSnapshot(cells, model, lattice, counted.offset, "", 0, None).finest()
     place = Place(finest.lattice.resolution, counted.anchor, finest.offset)
     return ClassMap(finest.encode(four_classes), place, str(path))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.placing.clock_hints import ClockHints
@@ -32,7 +32,8 @@ def map_figures(snapshot: MapSnapshot) -> dict[str, Any]:
 
     H = -sum(p log2 p + (1 - p) log2(1 - p)). Free and occupied are those of the trinary map.
     """
-    return _figures_of_levels(*snapshot.model.levels(snapshot.stored), snapshot.lattice.resolution**2)
+    levels = snapshot.model.levels(snapshot.stored)
+    return _figures_of_levels(*levels, snapshot.model.free_below, snapshot.lattice.resolution**2)
 
 
 def map_figures_within(snapshot: MapSnapshot, visits: int) -> tuple[dict[str, Any], float, int]:
@@ -52,12 +53,17 @@ def map_figures_within(snapshot: MapSnapshot, visits: int) -> tuple[dict[str, An
     levels = [snapshot.model.levels(snapshot.stored.part(band, everywhere)) for band in bands]
     values, counts = (np.concatenate(part) for part in zip(*levels, strict=True))
     share = judged / height
-    figures = _figures_of_levels(values, counts, snapshot.lattice.resolution**2, share)
+    cell = snapshot.lattice.resolution**2
+    figures = _figures_of_levels(values, counts, snapshot.model.free_below, cell, share)
     return figures, share, judged * snapshot.width
 
 
 def _figures_of_levels(
-    values: NDArray[np.float64], counts: NDArray[np.int64], cell: float, share: float = 1.0
+    values: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    free_below: float,
+    cell: float,
+    share: float = 1.0,
 ) -> dict[str, Any]:
     """Figures of cells of so many m2 that have these probabilities, so often; they are `share` of the map."""
     known = int(counts.sum())
@@ -66,7 +72,7 @@ def _figures_of_levels(
         "entropy_bits": entropy / share,
         "mean_entropy_bits": entropy / known if known else None,
         "known_m2": known * cell / share,
-        "free_m2": int(counts[values < FREE_BELOW].sum()) * cell / share,
+        "free_m2": int(counts[values < free_below].sum()) * cell / share,
         "occupied_m2": int(counts[values > OCCUPIED_ABOVE].sum()) * cell / share,
     }
 
@@ -177,7 +183,7 @@ def _entropy(p: NDArray[np.float64]) -> NDArray[np.float64]:
     return -(p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
 
 
-def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _side_of_half(p: NDArray[np.float64], known: NDArray[np.bool_], _free_below: float) -> NDArray[np.uint8]:
     sides = np.where(
         p > 0.5,
         agreement.BELIEF_OCCUPIED,

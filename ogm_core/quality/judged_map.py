@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.model import Known, Probability, row_bands
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.quality.agreement import BELIEF_FREE, BELIEF_OCCUPIED, BELIEF_UNDECIDED
 from ogm_core.snapshot import MapSnapshot
 
@@ -67,9 +67,9 @@ class JudgedMap:
         return np.clip(self.snapshot.log_odds(rows), -MOST_LOG_ODDS, MOST_LOG_ODDS)
 
 
-def four_classes(p: Probability, known: Known) -> NDArray[np.uint8]:
-    """Class of cells: occupied (p > 0.65), free (p < 0.196), undecided, or unknown."""
+def four_classes(p: Probability, known: Known, free_below: float = FREE_BELOW) -> NDArray[np.uint8]:
+    """Class of cells: occupied (p > 0.65), free (p < free_below), undecided, or unknown."""
     decided = np.where(
-        p > OCCUPIED_ABOVE, BELIEF_OCCUPIED, np.where(p < FREE_BELOW, BELIEF_FREE, BELIEF_UNDECIDED)
+        p > OCCUPIED_ABOVE, BELIEF_OCCUPIED, np.where(p < free_below, BELIEF_FREE, BELIEF_UNDECIDED)
     )
     return np.where(known, decided, UNKNOWN).astype(np.uint8)

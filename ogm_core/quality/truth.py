@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import OCCUPIED_ABOVE
 from ogm_core.cells.model import P_EDGE, row_bands
+from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.lattice import CellRect, Lattice
 from ogm_core.quality.figures import BAND
 from ogm_core.queries.cell_runs import counted
@@ -203,7 +203,7 @@ def _share(part: float, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _belief(p: Floats, known: Bools) -> NDArray[np.uint8]:
+def _belief(p: Floats, known: Bools, _free_below: float) -> NDArray[np.uint8]:
     return np.where(known, np.where(p > OCCUPIED_ABOVE, _KNOWN | _OCCUPIED, _KNOWN), 0).astype(np.uint8)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.cells.log_odds import probability_of
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.lattice import CellRect, Lattice
 
@@ -38,11 +38,12 @@ class RayCaster:
         max_range: float,
         *,
         through_unknown: bool = False,
+        free_below: float = FREE_BELOW,
     ) -> None:
         """`log_odds` is [iy, ix], row 0 south, NaN where unknown, `offset` its lower-left cell; metres.
 
-        What is unknown or undecided stops a ray, and so does the grid's edge, unless it goes
-        `through_unknown`.
+        What is unknown or undecided, not below `free_below`, stops a ray, and so does the grid's edge, unless
+        it goes `through_unknown`.
         """
         if not max_range > 0.0:
             raise BadParameter(f"max_range: a positive number of metres is needed, got {max_range}")
@@ -50,14 +51,14 @@ class RayCaster:
         height, width = log_odds.shape
         self._cell, self._start = start_of(lattice, CellRect(*offset, width, height), point)
         self._resolution, self._max_range = lattice.resolution, max_range
-        self._through_unknown = through_unknown
+        self._through_unknown, self._free_below = through_unknown, free_below
 
     def cast(self, theta: float) -> tuple[int, float]:
         """Where the ray along `theta`, rad, ends, and its range, m; its first cell is not asked."""
         distances, columns, rows, n = self._way(theta)
         # As `cells.classes.trinary` has it; NaN, of what is unknown, is neither.
         p = probability_of(self._log_odds[rows[:n], columns[:n]])
-        stops = p > OCCUPIED_ABOVE if self._through_unknown else ~(p < FREE_BELOW)
+        stops = p > OCCUPIED_ABOVE if self._through_unknown else ~(p < self._free_below)
         end = int(stops.argmax()) if n else 0
         if n and stops[end]:
             return FOUND_WALL if p[end] > OCCUPIED_ABOVE else FOUND_UNKNOWN, self._metres(distances[end])

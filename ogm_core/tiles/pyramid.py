@@ -207,7 +207,7 @@ def _value_bytes(model: CellModel, planes: Planes) -> NDArray[np.uint8]:
     if table is None:
         p, known = model.published(planes)
         found = np.empty(p.shape, np.uint8)
-        write_value_bytes(p.reshape(-1), known.reshape(-1), found.reshape(-1))
+        write_value_bytes(p.reshape(-1), known.reshape(-1), model.free_below, found.reshape(-1))
         return found
     (cells,) = planes.values()
     found = np.empty(cells.shape, np.uint8)

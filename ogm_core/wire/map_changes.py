@@ -25,7 +25,7 @@ def updates_of(
             stamp=snapshot.stamp,
             lattice=snapshot.lattice,
             planes=snapshot.model.planes,
-            model=snapshot.model.described,
+            model=snapshot.model.told,
             extent=snapshot.rect,
             tiles=tiles.places,
             cells=tiles.planes(),

@@ -8,6 +8,7 @@ import pytest
 
 from ogm_client import BadReply, MapGrid
 from ogm_client.map_copy import MapCopy, Taken
+from ogm_core.cells.classes import trinary
 from ogm_core.cells.rate import Rate
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -68,4 +69,27 @@ def test_counts_that_are_others_or_too_many_are_refused():
     other = replace(told, planes=told.planes[:-1], cells={name: told.cells[name] for name in names})
     assert copy.take(other) is Taken.APPLIED
     with pytest.raises(BadReply, match=r"in other planes than known here: N, C, F, E$"):
+        copy.grid()
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_a_copy_calls_free_what_its_mapper_does(coarse):
+    grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate(free_below=0.05)), "e", "r")
+    for stamp in range(4):
+        grid.integrate(scan_at(stamp, np.random.default_rng(stamp)), Pose(0.1, 0.2, 0.3 * stamp))
+    copy = MapCopy(MUCH, coarse=coarse)
+    assert copy.take(message(grid.snapshot())) is Taken.APPLIED
+    found, expected = copy.grid(), grid.snapshot() if coarse else grid.snapshot().finest()
+    assert found.free_below == 0.05
+    np.testing.assert_array_equal(found.occupancy, expected.encode(trinary))
+    assert (found.occupancy != replace(found, free_below=0.196).occupancy).any()
+
+
+@pytest.mark.parametrize("told", [0.0, 0.65, math.nan, "0.05"])
+def test_a_free_below_that_separates_nothing_is_refused(told):
+    grid = OccupancyGrid(GridSettings(resolution=0.25, cell_model=Rate()), "e", "r")
+    grid.integrate(scan_at(1, np.random.default_rng(1)), Pose(0.0, 0.0, 0.0))
+    update, copy = message(grid.snapshot()), MapCopy(MUCH)
+    copy.take(replace(update, model={**update.model, "free_below": told}))
+    with pytest.raises(BadReply, match=r"map\.tiles: free_below .* is no probability below 0\.65"):
         copy.grid()

@@ -259,6 +259,18 @@ def test_a_ros_map_is_a_pair(tmp_path, given, name, suffix):
         np.testing.assert_array_equal(np.asarray(image), [[205, 205], [254, 205], [205, 0]])
 
 
+def test_a_grid_with_a_free_below_of_its_own_keeps_it(tmp_path):
+    grid = grid_of(free_below=0.1)
+    assert (grid.occupancy == [[-1, 100], [-1, -1], [-1, -1]]).all()
+    grid.save_npz(tmp_path / "map.npz")
+    grid.save_ros_map(tmp_path / "map")
+    for kept in (MapGrid.load(tmp_path / "map.npz"), MapGrid.from_snapshot(grid.to_snapshot())):
+        assert kept.free_below == kept.crop((9.5, -18.0, 10.0, -17.0)).free_below == 0.1
+    assert yaml.safe_load((tmp_path / "map.yaml").read_text())["free_thresh"] == 0.1
+    with Image.open(tmp_path / "map.pgm") as image:
+        np.testing.assert_array_equal(np.asarray(image), [[205, 205], [205, 205], [205, 0]])
+
+
 def test_who_reads_while_a_map_is_saved_gets_a_pair_or_is_told(tmp_path, monkeypatch):
     """After every step of the writing, where it may have been cut off, too: never parts of two maps."""
     full = grid_of(np.random.default_rng(0).normal(0, 3, (40, 40)), resolution=0.1)

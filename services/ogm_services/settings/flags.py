@@ -115,6 +115,10 @@ class MapFlags(_SettingFlags):
         str | None,
         _setting("map", "half_life", "SECONDS", "Let the map forget: half of what a cell knows in this time"),
     ] = None
+    free_below: Annotated[
+        str | None,
+        _setting("map", "free_below", "P", "Call cells free below this probability: .05 for cautious robots"),
+    ] = None
 
 
 @dataclass(frozen=True)

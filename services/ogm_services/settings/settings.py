@@ -18,6 +18,7 @@ from ogm_core.cells.forgetting import MAX_HALF_LIFE, MIN_HALF_LIFE
 from ogm_core.cells.log_odds import CellType, LogOdds
 from ogm_core.cells.model import CellModel
 from ogm_core.cells.rate import Rate
+from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadSetting
 from ogm_core.files.strict_yaml import dump_yaml
 from ogm_core.grid_settings import (
@@ -47,6 +48,7 @@ from ogm_services.settings.values import (
     Count,
     Endpoints,
     Finite,
+    FreeBelow,
     LogFormat,
     LogLevel,
     NotNegative,
@@ -85,6 +87,7 @@ class MapSettings(Section):
     cells: CellType = "int16"
     bounds: Annotated[Bounds | None, NONE] = None
     outside: Outside = "clip"
+    free_below: FreeBelow = FREE_BELOW
     half_life: Annotated[Annotated[Finite, Field(ge=MIN_HALF_LIFE, le=MAX_HALF_LIFE)] | None, NONE] = None
 
     def made_cell_model(self) -> CellModel:
@@ -100,10 +103,11 @@ class MapSettings(Section):
                     f"{', '.join(given)}: cell model rate counts and has no log odds, increments, clamps or "
                     "traversal: leave it out, or give map.cell_model log_odds"
                 )
-            return Rate()
+            return Rate(free_below=self.free_below)
         if self.cell_model != "log_odds":
             assert_never(self.cell_model)
-        return LogOdds(self.cells, self.p_prior, self.p_occ, self.p_free, self.l_min, self.l_max)
+        clamps = self.l_min, self.l_max
+        return LogOdds(self.cells, self.p_prior, self.p_occ, self.p_free, *clamps, self.free_below)
 
 
 class NetworkSettings(Section):

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, SecretStr
 
+from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.errors import cut
 from ogm_core.lattice import Region
 from ogm_core.types import Pose
@@ -216,6 +217,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Finite, Field(gt=0.0)]
 PositiveOrInfinite = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[Finite, Field(ge=0.0)]
+FreeBelow = Annotated[float, Field(gt=0.0, lt=OCCUPIED_ABOVE)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]
 Count = Annotated[WholeNumber, Field(ge=1)]

@@ -149,6 +149,11 @@ class LiveMap:
         return self._state.identity
 
     @property
+    def free_below(self) -> float:
+        """Which probabilities mean free."""
+        return self._grid.settings.cell_model.free_below
+
+    @property
     def time(self) -> int | None:
         """Writer: how far the time of a map that forgets has come, ns; None before its first scan."""
         return self._grid.time.time

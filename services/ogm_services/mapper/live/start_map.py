@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE, trinary
+from ogm_core.cells.classes import trinary
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.cells.model import CellModel, Planes, StoredCells, cell_bytes
 from ogm_core.cells.rate import PLANES, Rate
+from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.errors import BadMapFile, BadSetting, LimitReached, OutsideBounds
 from ogm_core.files.counted_maps import CountedMap, load_counts
 from ogm_core.files.map_files import MAX_NPZ_BYTES, NpzMap, load_npz
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from ogm_core.files.ros_map_reader import RosMap
 
 log = logging.getLogger(__name__)
-_UNDECIDED_UP_TO = OCCUPIED_ABOVE - 0.002
-"""Stored cells are rounded: what is undecided keeps this far away from "occupied"."""
+_AWAY = 0.002
+"""Stored cells are rounded: what is undecided keeps this far away from "occupied" and "free"."""
 
 
 def started_grid(settings: Settings, epoch: str, run: str = "") -> OccupancyGrid:
@@ -173,23 +174,26 @@ def start_cells(occupancy: NDArray[np.int8], model: LogOdds, confidence: float) 
     """Stored cells of a ROS map's occupancy, of the same shape: 0 to 100, or -1 for unknown.
 
     p = occupancy / 100, limited to [1 - confidence, confidence], and to the model's clamps. Every cell keeps
-    its class: occupied (p > 0.65), free (p < 0.196), neither or unknown.
+    its class: occupied (p > 0.65), free (below the model's `free_below`), neither or unknown.
 
     Raises:
         BadSetting: that confidence, or these clamps, do not allow that.
     """
     said = np.arange(101) / 100.0
     p = np.clip(said, 1.0 - confidence, confidence)
-    p = np.where(said > OCCUPIED_ABOVE, p, np.minimum(p, _UNDECIDED_UP_TO))
+    free_below = model.free_below
+    p = np.where(said > OCCUPIED_ABOVE, p, np.minimum(p, OCCUPIED_ABOVE - _AWAY))
+    p = np.where(said < free_below, p, np.maximum(p, free_below + _AWAY))
     # One entry more, for unknown: -1 is the last one's index.
     known = np.append(np.ones(101, np.bool_), False)
     table = model.store(np.append(np.log(p / (1.0 - p)), 0.0), known)
     stored = model.probability(table)
-    if not np.array_equal(trinary(stored, known), trinary(np.append(said, 0.0), known)):
+    wanted = trinary(np.append(said, 0.0), known, free_below)
+    if not np.array_equal(trinary(stored, known, free_below), wanted):
         raise BadSetting(
             f"mapper.start_confidence: with {confidence:g} and the clamps map.l_min and map.l_max, occupied "
             f"cells would start at p = {stored[100]:.4g} and free ones at {stored[0]:.4g}; more than "
-            f"{OCCUPIED_ABOVE} and less than {FREE_BELOW} are needed: raise it, or leave the clamps alone"
+            f"{OCCUPIED_ABOVE} and less than {free_below} are needed: raise it, or leave the clamps alone"
         )
     cells: StoredCells = table[occupancy]
     return cells

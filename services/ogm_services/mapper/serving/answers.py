@@ -221,6 +221,11 @@ class Answers:
         return self.map_tiles.description(self._map_name, base)
 
     @property
+    def free_below(self) -> float:
+        """Which probabilities mean free."""
+        return self._map.free_below
+
+    @property
     def saves(self) -> bool:
         """Whether maps can be saved here."""
         return self._saved is not None

@@ -92,7 +92,7 @@ def build_app(
     _add_map_routes(app, shares.maps, answers, ready)
     add_tile_routes(app, shares.maps, answers, ready)
     add_query_routes(app, answers, ready, shares.maps)
-    add_page_routes(app)
+    add_page_routes(app, answers.free_below)
     _add_state_routes(app, shares, answers)
     _add_service_routes(app, shares.status, answers, health, metrics, version)
     if live is not None:

@@ -8,7 +8,7 @@ from importlib.resources import files
 from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 
-from ogm_core.cells.classes import FREE_BELOW, OCCUPIED_ABOVE
+from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE
 from ogm_core.status import GONE_AFTER
 from ogm_core.tiles.polygon import MAX_POINTS
 from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, PIXELS
@@ -19,6 +19,7 @@ from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_ME
 
 STATIC_PATH = "/static/{version}/{name}"
 _PAGE = "index.html"
+_CONSTANTS = "constants.js"
 _VERSIONED = "{static}"
 """Stands in the document for where its files are."""
 _LEAFLET = ("leaflet.js", "leaflet.css")
@@ -31,8 +32,7 @@ _FROM_PYTHON: Mapping[str, Mapping[str, object]] = {
         "ON_ROBOTS": ON_ROBOTS_MEANS,
         "HINT": HINT_HELPS,
     },
-    "constants.js": {
-        "FREE_BELOW": FREE_BELOW,
+    _CONSTANTS: {
         "OCCUPIED_ABOVE": OCCUPIED_ABOVE,
         "GONE_AFTER_S": GONE_AFTER,
         "LEVELS": NATIVE_Z - LEAST_Z,
@@ -57,13 +57,14 @@ PAGE_HEADERS = {
 class PageFiles:
     """What the page consists of: its document and its files, under a name that changes with any of them."""
 
-    def __init__(self) -> None:
-        """Read them all."""
+    def __init__(self, free_below: float = FREE_BELOW) -> None:
+        """Read them all; the page of a map whose cells are free below this probability."""
         folder = files("ogm_services.mapper.serving") / "page"
         leaflet = files("js_lib_leaflet") / "static" / "js_lib_leaflet"
         found = [*folder.iterdir(), *(leaflet / name for name in _LEAFLET)]
         texts = {file.name: file.read_bytes() for file in sorted(found, key=lambda file: file.name)}
         texts |= {name: _module(said) for name, said in _FROM_PYTHON.items()}
+        texts[_CONSTANTS] += _module({"FREE_BELOW": free_below})
         digest = hashlib.sha256()
         for name, text in texts.items():
             digest.update(f"{name} {len(text)} ".encode() + text)
@@ -89,9 +90,12 @@ def _module(said: Mapping[str, object]) -> bytes:
     return "".join(f"export const {name} = {json.dumps(value)};\n" for name, value in said.items()).encode()
 
 
-def add_page_routes(app: FastAPI) -> None:
-    """Add them. Every address in the page is relative to its own, which a proxy may have moved."""
-    page = PageFiles()
+def add_page_routes(app: FastAPI, free_below: float) -> None:
+    """Add them, of a map whose cells are free below this probability.
+
+    Every address in the page is relative to its own, which a proxy may have moved.
+    """
+    page = PageFiles(free_below)
 
     async def show_page(_: Request) -> Response:
         return Response(page.document, media_type="text/html; charset=utf-8", headers=PAGE_HEADERS)

@@ -1,6 +1,7 @@
 """Settings that a map is made with, as a store keeps them: whatever decides what a cell becomes.
 
-Left out are the limits (`max_cells` and the like): they decide which scans are taken, and may be raised.
+Left out are the limits (`max_cells` and the like): they decide which scans are taken, and may be raised; and
+`free_below`, by which a map is shown.
 `anchor` is what a map that it began with gave, and no setting: the store's is taken.
 """
 
@@ -80,7 +81,8 @@ def settings_as_stored(text: str, given: GridSettings, where: str, cure: str) ->
 def _of_model(model: CellModel) -> dict[str, Any]:
     constants: dict[str, Any] = {}
     if dataclasses.is_dataclass(model):
-        constants = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
+        names = (field.name for field in dataclasses.fields(model))
+        constants = {name: getattr(model, name) for name in names if name != "free_below"}
     planes = [[plane.name, np.dtype(plane.dtype).name, plane.side] for plane in model.planes]
     return {"cell_model": type(model).__name__, **constants, "planes": planes, "tile": TILE}
 
