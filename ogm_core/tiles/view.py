@@ -182,12 +182,12 @@ def _lay_out(
     for k in range(len(which)):
         tile = tiles[which[k]]
         column = columns[k]
-        west, east = np.uint64(max(0, -column)), np.uint64(max(min(size, width - column), 0))
+        west, east = max(0, -column), min(size, width - column)
         for r in range(max(0, -rows[k]), min(size, height - rows[k])):
-            # Unsigned places spare numba's check for negative ones: rows are copied at memory speed.
-            row, first = dense[rows[k] + r], np.uint64(size * r)
+            row, first = dense[rows[k] + r], size * r
             for c in range(west, east):
-                row[np.uint64(column) + c] = tile[first + c]
+                # Unsigned places spare numba's check for negative ones: rows are copied at memory speed.
+                row[np.uint64(column + c)] = tile[np.uint64(first + c)]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
