@@ -12,11 +12,19 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
+from ogm_core.cells.saturating import lowered
+
 
 def _passed_int16(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401 - one form a dtype
     # Log odds. No known bit: a cell that was never updated becomes negative, till a hit sets the bit.
     free, _, lower, _, _ = constants
     return max(cell, lower - free) + free
+
+
+def _passed_int16_compiled(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401
+    # The same number; all increments of int16 cells are even (see log_odds.CellConstants).
+    free, _, lower, _, _ = constants
+    return lowered(cell, np.int16(free >> 1), np.int16(lower))
 
 
 def _ended_int16(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401
@@ -58,7 +66,7 @@ def ended(cell: Any, weight: Any, constants: Any) -> Any:  # noqa: ANN401
 
 @overload(passed)
 def _passed(cell: Any, length: Any, constants: Any) -> Any:  # noqa: ANN401 - numba types
-    return _passed_float64 if isinstance(cell, types.Float) else _passed_int16
+    return _passed_float64 if isinstance(cell, types.Float) else _passed_int16_compiled
 
 
 @overload(ended)
