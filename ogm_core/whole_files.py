@@ -6,7 +6,7 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -44,10 +44,10 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         part.unlink(missing_ok=True)
 
 
-def write_files(contents: Mapping[Path, bytes], *, without: Path | None = None) -> None:
+def write_files(contents: Mapping[Path, bytes], *, without: Iterable[Path] = ()) -> None:
     """Write files that belong together: all of them are on disk before the first, in order, takes its name.
 
-    `without` is one that there is no more afterwards.
+    `without` are those that there are no more afterwards.
 
     Raises:
         OSError: one of them cannot be written.
@@ -57,8 +57,8 @@ def write_files(contents: Mapping[Path, bytes], *, without: Path | None = None) 
             file = renamed_last_to_first.enter_context(whole_file(path))
             file.write(content)
             _flush(file)
-        if without is not None:
-            without.unlink(missing_ok=True)
+        for path in without:
+            path.unlink(missing_ok=True)
 
 
 def check_file(path: Path) -> None:

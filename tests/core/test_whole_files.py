@@ -135,11 +135,11 @@ def test_a_file_goes_only_when_the_others_are_on_disk(tmp_path):
     (tmp_path / "figures").write_bytes(b"of before")
     (tmp_path / "b").mkdir()
     with pytest.raises(IsADirectoryError):
-        write_files({tmp_path / "a": b"1", tmp_path / "b": b"2"}, without=tmp_path / "figures")
+        write_files({tmp_path / "a": b"1", tmp_path / "b": b"2"}, without=[tmp_path / "figures"])
     assert (tmp_path / "figures").read_bytes() == b"of before"
-    write_files({tmp_path / "a": b"1"}, without=tmp_path / "figures")
+    write_files({tmp_path / "a": b"1"}, without=[tmp_path / "figures"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
-    write_files({tmp_path / "a": b"2"}, without=tmp_path / "figures")
+    write_files({tmp_path / "a": b"2"}, without=[tmp_path / "figures"])
     assert (tmp_path / "a").read_bytes() == b"2"
 
 

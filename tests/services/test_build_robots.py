@@ -10,7 +10,7 @@ from ogm_core.files.map_files import read_npz
 from ogm_core.logs.jsonl_writer import write_jsonl
 from ogm_core.logs.recorded import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
-from ogm_services.commands import build
+from ogm_services.commands import build, mapped_logs
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 
@@ -40,7 +40,7 @@ def built(tmp_path, capsys):
 
     def run(*robots, hold_out=None):
         settings = load_settings(config=None, flags={}, environ={}, robots=robots)
-        build.run_build(log, tmp_path, settings, held=HeldScans(hold_out))
+        build.run_build([log], tmp_path, settings, held=HeldScans(hold_out))
         grid = read_npz((tmp_path / "map.npz").read_bytes())
         return grid, json.loads((tmp_path / "quality.json").read_text()), capsys.readouterr()
 
@@ -69,7 +69,7 @@ def test_where_a_robot_stood_is_occupied_unless_its_radius_is_known(built):
 
 @pytest.mark.parametrize("room", [0, 10_000_000])
 def test_scans_that_are_held_out_stay_out_and_are_judged_without_other_robots(built, monkeypatch, room):
-    monkeypatch.setattr(build, "MAX_KEPT", room)
+    monkeypatch.setattr(mapped_logs, "MAX_KEPT", room)
     _, quality, said = built("*:radius=0.3", hold_out=3)
     assert quality["scans"] == 2 * SCANS * 2 // 3
     assert f"{2 * SCANS // 3} held out" in said.out

@@ -415,8 +415,8 @@ def test_build(ogm, stub):
     run = stub("ogm_services.commands.build", "run_build")
     flags = "--out maps --hold-out 5 --range-max 8 --preset lab"
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
-    log, out, settings = run.args
-    assert (log, out, settings.map.preset) == (Path("a.jsonl"), Path("maps"), "lab")
+    logs, out, settings = run.args
+    assert (logs, out, settings.map.preset) == ([Path("a.jsonl")], Path("maps"), "lab")
     rest = {"world": None, "figure": None}
     assert run.options == {"read_as": ReadAs(8.0), "held": HeldScans(5), **rest}
     robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")

@@ -7,7 +7,7 @@ import typer
 
 from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.held_scans import HeldScans
-from ogm_services.commands.log_flags import Log, LogFlags
+from ogm_services.commands.log_flags import LogFlags, Logs
 from ogm_services.commands.topic_flags import TopicFlags
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.kernel_cache import kernel_cache
@@ -21,7 +21,7 @@ from ogm_services.settings.robot_flags import SensorFlags
 
 @with_flag_groups
 def build(
-    log: Log,
+    logs: Logs,
     out: Annotated[
         Path,
         typer.Option(metavar="DIR", help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here."),
@@ -50,7 +50,7 @@ def build(
         typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
     ] = None,
 ) -> None:
-    """Make a map of a recorded log, without network."""
+    """Make a map of recorded logs, one of all of them, without network."""
     held = HeldScans(hold_out)
     robots = log_flags.robots
     settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
@@ -58,7 +58,7 @@ def build(
         with loading():
             from ogm_services.commands.build import run_build
         run_build(
-            log,
+            logs,
             out,
             settings,
             read_as=log_flags.read_as(bag.options(topics)),

@@ -22,7 +22,7 @@ from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_feed import LogFeed, LogSink
 from ogm_services.commands.log_readers import ReadAs, log_reader
-from ogm_services.commands.log_report import doubts, outcomes
+from ogm_services.commands.log_report import LogReport
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.quality_table import quality_table
 from ogm_services.settings.settings import Settings
@@ -104,17 +104,19 @@ def _judge_log(
     with reader() as messages:
         feed.run(messages, sink, "mapping")
     integrated = {name: grid.revision for name, grid in sink.grids.items()}
-    report = outcomes(messages, feed, max(integrated.values()), len(sink.held))
-    complaints = feed.complaints.lines()
+    report = LogReport.of(log, messages, feed, max(integrated.values()), len(sink.held))
+    complaints = list(report.complaints)
     if not all(grid.cell_updates for grid in sink.grids.values()):
-        raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report})", *complaints[:3]]))
+        raise MapEmpty("; ".join([f"{log}: no scan changed the map ({report.text})", *complaints[:3]]))
     if len(set(integrated.values())) > 1:
         complaints.append(f"{log}: the maps are not of the same scans: {integrated}")
-    for line in [*complaints, *doubts(log, messages, feed)]:
+    for line in [*complaints, *report.doubts]:
         typer.echo(line, err=True)
     if not sink.held:
-        raise BadInput(f"{log}: no scan is held out: a longer log, or --hold-out 2, is needed ({report})")
-    return report, {name: _judge(grid, sink.held) for name, grid in sink.grids.items()}
+        raise BadInput(
+            f"{log}: no scan is held out: a longer log, or --hold-out 2, is needed ({report.text})"
+        )
+    return report.text, {name: _judge(grid, sink.held) for name, grid in sink.grids.items()}
 
 
 def _judge(grid: OccupancyGrid, held: Sequence[PlacedScan]) -> _Judged:

@@ -14,6 +14,7 @@ from ogm_core.whole_files import check_file, write_files
 from ogm_services.results.written import written
 
 QUALITY = "quality.json"
+LOGS = "logs.json"
 NAMES = ("map.npz", "map.png", "map.pgm", "map.yaml", QUALITY)
 """What is written of a map, in the order in which the files take their names."""
 
@@ -46,8 +47,12 @@ def check_place(out: Path) -> None:
         check_folder(out)
 
 
-def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) -> None:
+def write_map(
+    out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None, logs: dict[str, Any] | None = None
+) -> None:
     """Write map.npz, map.png, map.pgm, map.yaml and quality.json into the folder `out`, made if need be.
+
+    `logs` says what became of each of several logs: it is logs.json, which is not there otherwise.
 
     Those for ROS have the snapshot's own cells, the others the finest that its model has.
 
@@ -68,9 +73,11 @@ def write_map(out: Path, snapshot: MapSnapshot, quality: dict[str, Any] | None) 
     }
     if quality is not None:
         files[QUALITY] = _readable(quality).encode()
+    if logs is not None:
+        files[LOGS] = _readable(logs).encode()
     with written(out, "--out"):
         out.mkdir(parents=True, exist_ok=True)
-        stale = out / QUALITY if quality is None else None
+        stale = [out / name for name in (QUALITY, LOGS) if name not in files]
         write_files({out / name: content for name, content in files.items()}, without=stale)
 
 
