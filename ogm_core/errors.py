@@ -22,6 +22,7 @@ OgmError
 |   +-- OutsideBounds     every beam leaves bounds that drop such beams
 +-- DiskFull              there is no room for a file that is to be written
 +-- MapEmpty              there is no known cell to draw
++-- UnknownRobot          a robot that is to be left out of a map is not in it
 """
 
 MAX_SHOWN = 100
@@ -176,3 +177,9 @@ class MapEmpty(OgmError):
     """The map has no known cell yet, so there is nothing to draw."""
 
     slug = "map-empty"
+
+
+class UnknownRobot(OgmError):
+    """A robot that is to be left out of a map is not in it."""
+
+    slug = "unknown-robot"

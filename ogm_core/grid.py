@@ -15,7 +15,7 @@ from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.aging import Aging
-from ogm_core.tiles.checkpoint import Checkpoint, KeptTile, MapState
+from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState
 from ogm_core.tiles.copies import (
     CopyAhead,
     TileCopies,
@@ -56,6 +56,8 @@ class OccupancyGrid:
         self._aging: Aging | None
         self._store: TileStore
         self._copies: TileCopies | None = None
+        self.kept_bytes = 0
+        """What copies for a checkpoint hold that none of what is served shares."""
         self.reset(epoch)
 
     def reset(self, epoch: str) -> None:
@@ -116,11 +118,12 @@ class OccupancyGrid:
         self._extent = extent
         self._begin_store(store)
 
-    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None, robot: str = NOBODY) -> int:
         """Add a scan taken at the sensor's `pose` in the map frame; return the number of cell updates.
 
         With a `sweep` every beam starts where the sensor was then (sensor model `beam`), or the whole scan at
         mid sweep (`sector`). (Thrun, Burgard & Fox 2005, table 9.1; docs/method.md.)
+        `robot` took it: for maps that keep robots apart (see separate_grid).
 
         Raises:
             LimitReached: it would stretch the map past a limit; no cell has changed.
@@ -162,18 +165,22 @@ class OccupancyGrid:
             if not updated.cells:
                 return 0
 
-        def window(store: TileStore) -> CellRect:
-            return evidence.window(store, self.bounds or store.rect)
-
-        store: TileStore = self._store.admitting(
-            updated, lambda store: evidence.new_tiles(store, window(store)), self.max_bytes
-        )
-        self._store = store
+        store = self._make_room(evidence, updated)
         if aging is not None:
             aging.before_writing(store, updated, self.revision + 1)
-        updates = self.model.update(evidence, store, window(store), self.revision + 1)
+        updates = self.model.update(evidence, store, self._window(evidence, store), self.revision + 1)
         extent.add(updated)
         return updates
+
+    def _make_room(self, evidence: Evidence, updated: CellRect) -> TileStore:
+        """Have a place for every cell that is updated; none changes."""
+        self._store = self._store.admitting(
+            updated, lambda store: evidence.new_tiles(store, self._window(evidence, store)), self.max_bytes
+        )
+        return self._store
+
+    def _window(self, evidence: Evidence, store: TileStore) -> CellRect:
+        return evidence.window(store, self.bounds or store.rect)
 
     def erase(self, area: Polygon) -> int:
         """Make the cells unknown whose centre lies in `area`; return how many were known.
@@ -245,6 +252,10 @@ class OccupancyGrid:
             self._copies = None
         return CopyAhead(self._store, self.revision, self._copies, self._aging, keeping_old=False)
 
+    def copies_ahead(self) -> list[CopyAhead]:
+        """The same for all that a checkpoint copies."""
+        return [self.copy_ahead()]
+
     def take_ahead(self, ahead: CopyAhead, made: TileCopies) -> None:
         """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""
         if ahead.store is self._store and ahead.before is self._copies:
@@ -267,12 +278,14 @@ class OccupancyGrid:
         self._copies = copy_tiles(
             *(self._store, self.revision, self._copies, room, self._aging), giving_up=False, keeping_old=True
         )
+        return Checkpoint(self._state(), (KeptCells(self._copies, self._store.touched.copy()),))
+
+    def _state(self) -> MapState:
         extent = self._extent
-        state = MapState(
+        return MapState(
             *(self.epoch, self.revision, self.stamp, self.cell_updates, extent.known, self._store.rect),
             *(self.erasures, self.time, None if extent.clip is None else extent.stretched),
         )
-        return Checkpoint(state, self._copies, self._store.touched.copy())
 
     def restore(self, state: MapState, tiles: Iterable[KeptTile]) -> None:
         """Become the map of which a checkpoint had this state and these tiles, under the same settings.

@@ -29,7 +29,8 @@ class GridSettings:
     as sectors. `resolution`, `alpha` (obstacle thickness), `reach` (no beam writes farther) and `clear_range`
     (no return clears no farther) in metres; `bounds` in the map frame, None for an unbounded map, whose
     lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. In a `half_life`
-    (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. A map keeps the cells
+    (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. `separate_robots`:
+    what each has seen is kept by itself, and can be left out (see separate_grid). A map keeps the cells
     in its `clip` alone, and takes scans as if it had none. `max_cells` limits the known rectangle,
     `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the cells along its
     beams, or, as sectors, those of its area and along its outline, within the bounds or not.
@@ -50,6 +51,7 @@ class GridSettings:
     outside: Outside = "clip"
     half_life: float | None = None
     clip: Clip | None = None
+    separate_robots: bool = False
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
     max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
@@ -81,6 +83,7 @@ class GridSettings:
                 f"sensor_model: cell model {name} takes "
                 f"{' or '.join(sorted(self.cell_model.sensor_models))}, not {self.sensor_model}"
             )
+        self._check_robots(name)
         if self.half_life is not None:
             tick_length(self.half_life)
             if not self.cell_model.forgets:
@@ -92,6 +95,20 @@ class GridSettings:
             )
         if self.clip is not None and rect is not None and not rect.intersection(self.clip.rect).cells:
             raise BadSetting(f"clip: no cell of the bounds, {rect.width} x {rect.height}, lies in it")
+
+    def _check_robots(self, model: str) -> None:
+        if not self.separate_robots:
+            return
+        if not self.cell_model.adds_up:
+            raise BadSetting(
+                f"mapper.separate_robots: the cells of cell model {model} do not add up, so that no robot "
+                "could be left out: give map.cell_model rate, or leave it out"
+            )
+        if self.half_life is not None:
+            raise BadSetting(
+                "mapper.separate_robots: with map.half_life cells forget whose beams they have counted: "
+                "leave out one of the two"
+            )
 
     def check_known(self, width: int, height: int) -> None:
         """Refuse a scan with which the known rectangle would have `width` x `height` cells.

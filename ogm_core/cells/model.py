@@ -116,6 +116,8 @@ class CellModel(ABC):
     """Which probabilities mean "free": it changes what the map shows, never what it keeps."""
     forgets: bool = False
     """Whether it has `decayed`: what a map with a half-life needs."""
+    adds_up: bool = False
+    """Whether it has `add`: what a map that keeps its robots apart needs."""
 
     @property
     @abstractmethod
@@ -162,6 +164,10 @@ class CellModel(ABC):
     def decayed(self, planes: Planes, ticks: int) -> Planes:
         """Stored cells, of whatever shape, after some ticks (see cells.forgetting); known ones stay known."""
         raise NotImplementedError(f"{type(self).__name__} cells do not forget, not even by {ticks} ticks")
+
+    def add(self, sums: Mapping[str, StoredCells], planes: Planes) -> None:
+        """Add stored cells, of whatever shape, to `sums`, as if one map had taken the evidence of both."""
+        raise NotImplementedError(f"{type(self).__name__} cells do not add up: {len(planes)} to {len(sums)}")
 
     def published_log_odds(self, planes: Planes) -> NDArray[np.float64]:
         """Log odds of the same cells, the prior's where unknown."""

@@ -18,6 +18,7 @@ Two lattices can be served: `Rate` publishes cells, `RateHalves` halves, of whic
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ from ogm_core.cells.rate_publishing import (
     Unanswered,
     publish,
 )
+from ogm_core.cells.rate_sums import add_counts
 from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE, check_free_below
 
 PLANES = (
@@ -129,6 +131,7 @@ class Rate(_Counted):
     margin = OF_CELLS.margin
     spread = 2
     finest = 2
+    adds_up = True
     planes = PLANES
 
     @property
@@ -141,6 +144,10 @@ class Rate(_Counted):
     ) -> int:
         """Count a scan's beams (see sensor_models.passing)."""
         return evidence.update_planes(store, window, revision)
+
+    def add(self, sums: Mapping[str, NDArray[Any]], planes: Planes) -> None:
+        """Add counts to others, in place."""
+        add_counts(sums, planes)
 
     def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
         """The counts of the cells: of all that lies in them."""

@@ -12,6 +12,9 @@ from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import TileCopies, Tiles
 from ogm_core.tiles.store import TILE
 
+NOBODY = ""
+"""Whose those tiles are that no robot has written; no robot has this name."""
+
 
 class MapState(NamedTuple):
     """What a map is beside its settings and its cells."""
@@ -31,6 +34,20 @@ class MapState(NamedTuple):
     """How far its time has come, and its ticks; a store of before there were half-lives has none."""
     stretched: CellRect | None = None
     """Of a map with a clip: the rectangle that limits count of the map without one."""
+    robots: tuple["RobotState", ...] = ()
+    """Of a map that keeps robots apart: those that are in it."""
+
+
+class RobotState(NamedTuple):
+    """What the planes of one robot are beside their cells, in a map that keeps robots apart."""
+
+    robot: str
+    """NOBODY: what the map began with."""
+    since: int
+    """The map's revision before the robot's first scan: another one if it was forgotten and came again."""
+    known: CellRect | None
+    room: CellRect
+    """As those of the map."""
 
 
 class KeptTile(NamedTuple):
@@ -45,16 +62,17 @@ class KeptTile(NamedTuple):
     """
     planes: Tiles
     """Its stored cells by plane, each shape (cells of a tile,), row after row."""
+    robot: str = NOBODY
+    """Whose it is, in a map that keeps robots apart."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Checkpoint:
-    """A map at one revision. Nobody changes it any more; any thread reads it."""
+class KeptCells(NamedTuple):
+    """The cells of a map, or of one robot of those that are kept apart."""
 
-    state: MapState
     copies: TileCopies
     touched: NDArray[np.int64]
     """Revision that last wrote into each tile of `copies`, 0: never."""
+    robot: str = NOBODY
 
     def tiles_since(self, revision: int) -> Iterator[KeptTile]:
         """The tiles that were written after `revision`; all that were ever written after 0.
@@ -68,4 +86,19 @@ class Checkpoint:
             revisions = self.copies.of[tx[here], ty[here]].tolist()
             columns, up = (tx[here] + left).tolist(), (ty[here] + bottom).tolist()
             for x, y, last, row in zip(columns, up, revisions, rows.tolist(), strict=True):
-                yield KeptTile(x, y, last, {name: cells[row] for name, cells in planes.items()})
+                tile = {name: cells[row] for name, cells in planes.items()}
+                yield KeptTile(x, y, last, tile, self.robot)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """A map at one revision. Nobody changes it any more; any thread reads it."""
+
+    state: MapState
+    cells: tuple[KeptCells, ...]
+    """The map's, or each robot's in a map that keeps them apart."""
+
+    def tiles_since(self, revision: int) -> Iterator[KeptTile]:
+        """The tiles that were written after `revision`, robot by robot; see `KeptCells.tiles_since`."""
+        for cells in self.cells:
+            yield from cells.tiles_since(revision)

@@ -222,15 +222,15 @@ class TileStore:
                 self.tiles_used += int(self.touched[tx, ty] == 0)
                 self.touched[tx, ty] = 1
 
-    def put(self, tiles: Iterable[tuple[int, int, int, Mapping[str, NDArray[Any]]]]) -> None:
-        """Put whole tiles in place: (tx, ty) on the lattice, the revision, and the cells of each plane.
+    def put(self, tiles: Iterable[tuple[int, int, int, Mapping[str, NDArray[Any]], str]]) -> None:
+        """Put whole tiles in place: (tx, ty) on the lattice, revision, cells of each plane, and whose.
 
         Raises:
             IndexError: one of them lies outside this store.
         """
         left, bottom = self.rect.ix // TILE, self.rect.iy // TILE
         places = {name: plane.tiles(self.touched.shape) for name, plane in self.planes.items()}
-        for tx, ty, revision, cells in tiles:
+        for tx, ty, revision, cells, *_ in tiles:
             x, y = tx - left, ty - bottom
             if x < 0 or y < 0:
                 raise IndexError(f"tile ({tx}, {ty})")

@@ -108,7 +108,7 @@ def test_a_reset_map_is_empty_and_of_its_new_epoch():
     grid.checkpoint()
     grid.reset("f")
     checkpoint = grid.checkpoint()
-    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0, MapTime(), None)
+    assert checkpoint.state == ("f", 0, None, 0, None, CellRect(0, 0, 0, 0), 0, MapTime(), None, ())
     assert list(checkpoint.tiles_since(0)) == []
 
 
@@ -168,10 +168,10 @@ def test_what_was_copied_ahead_is_not_copied_again():
     ahead = grid.copy_ahead()
     made = ahead.made()
     grid.take_ahead(ahead, made)
-    assert grid.checkpoint().copies.blocks == made.blocks
+    assert grid.checkpoint().cells[0].copies.blocks == made.blocks
     scan, pose = list(scans())[6]
     grid.integrate(scan, pose)
-    *_, newest = grid.checkpoint().copies.blocks
+    *_, newest = grid.checkpoint().cells[0].copies.blocks
     assert newest.size == len(list(grid.checkpoint().tiles_since(6)))
 
 
