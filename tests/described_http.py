@@ -39,7 +39,7 @@ class DescribedClient(httpx.Client):
 def document():
     """The description, made without a mapper: it is the same of each."""
     answers = MagicMock(free_below=FREE_BELOW)
-    app = build_app(answers, *[MagicMock()] * 3, access=HttpAccess(), shares=MagicMock())
+    app = build_app(answers, *[MagicMock()] * 3, access=HttpAccess(), threads=MagicMock())
     return json.loads(json.dumps(app.openapi()))
 
 

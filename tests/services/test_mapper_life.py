@@ -15,13 +15,13 @@ from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.live import load
+from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import CannotServe, HttpThread
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS
 from ogm_services.mapper.serving.metrics import Metrics
-from ogm_services.mapper.serving.shares import Shares
 from ogm_services.replies.answer import Unavailable
 
 
@@ -45,10 +45,10 @@ def refuse(*_, **__):
 def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
-    shares = Shares(waiting=4)
+    threads = AnsweringThreads(waiting=4)
     writes = dict.fromkeys(("reset", "erase", "save", "restore", "delete"), reset)
     app = build_app(
-        BrokenAnswers(), health, writes, Metrics(), access=HttpAccess(hosts=("mapper",)), shares=shares
+        BrokenAnswers(), health, writes, Metrics(), access=HttpAccess(hosts=("mapper",)), threads=threads
     )
 
     async def send():
@@ -56,7 +56,7 @@ def ask(method, path, *, alive=True, ready=True, reset=refuse):
         async with httpx.AsyncClient(transport=transport, base_url="http://mapper") as client:
             return await client.request(method, path)
 
-    with closing(shares):
+    with closing(threads):
         return asyncio.run(send())
 
 

@@ -202,11 +202,11 @@ class Parts:
             if kept is None
             else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
         )
-        """The threads of the shares ask."""
+        """The answering threads ask."""
         self.live_updates = LiveUpdates(
             *(map_name, self.live_map, self.answers.map_tiles, self.receipts, self.newest_scans)
         )
         """One thread, the service's, asks; which moment it is, any."""
         self.writes = Writes(self.answers, self.live_map, self.grid_settings, self.worker, kept, in_flight)
-        """The threads of the shares ask."""
+        """The answering threads ask."""
         memory.add("answers", lambda: in_flight.held, in_flight.limit)

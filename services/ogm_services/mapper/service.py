@@ -27,6 +27,7 @@ from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
+from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_limits import HttpLimits
 from ogm_services.mapper.serving.http_routes import build_app
@@ -35,7 +36,6 @@ from ogm_services.mapper.serving.live_clients import LiveClients
 from ogm_services.mapper.serving.live_route import LIVE_PATH
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.query_routes import BODIES
-from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.replies.turns import Turns
@@ -240,11 +240,11 @@ class MapperService:
         others = OtherMappers(session, keys, self.parts.run)
         self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
-        self._http_shares = _shares(opening, self.parts.limits.http_questions)
+        self._http_threads = _answering_threads(opening, self.parts.limits.http_questions)
         # One thread: what live clients want is made once, and takes no more than its share of the machine.
         self._live_turns = Turns("live", 1, self._settings.http.max_live)
         opening.callback(self._live_turns.close)
-        zenoh_shares = _shares(opening, self.parts.limits.zenoh_questions)
+        zenoh_threads = _answering_threads(opening, self.parts.limits.zenoh_questions)
         routes = ZenohRoutes(session, keys, self.parts.in_flight)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
@@ -259,7 +259,7 @@ class MapperService:
         opening.enter_context(self._http(listener))
         self.updates = UpdatePublisher(self.live_map, self.parts.in_flight)
         opening.callback(self.updates.stop)
-        routes.declare(self.answers, self.parts.writes.by_name(), zenoh_shares)
+        routes.declare(self.answers, self.parts.writes.by_name(), zenoh_threads)
         _warm_up(self.parts.grid_settings)
         others.serve()
         self._begin_to_map(opening, session, subscriber, routes)
@@ -310,7 +310,7 @@ class MapperService:
         app = build_app(
             *(self.answers, self.parts.health, self.parts.writes.by_name(), self.parts.metrics),
             access=self._access,
-            shares=self._http_shares,
+            threads=self._http_threads,
             in_flight=parts.in_flight,
             live=live,
         )
@@ -319,11 +319,11 @@ class MapperService:
         return self._http_thread
 
 
-def _shares(opening: ExitStack, waiting: int) -> Shares:
+def _answering_threads(opening: ExitStack, waiting: int) -> AnsweringThreads:
     """The threads that answer the questions of one protocol."""
-    shares = Shares(waiting)
-    opening.callback(shares.close)
-    return shares
+    threads = AnsweringThreads(waiting)
+    opening.callback(threads.close)
+    return threads
 
 
 def _warm_up(settings: GridSettings) -> None:

@@ -28,7 +28,7 @@ LARGE_PATIENCE = 1.0
 class Queryables:
     """The queryables of a service on a session, until `close`.
 
-    Zenoh's threads call the callbacks, which only hand their query to the threads of a share, or to the one
+    Zenoh's threads call the callbacks, which only hand their query to answering threads, or to the one
     that sends errors, so that no link ever waits for an answer to be made, or for another link.
     """
 

@@ -16,6 +16,7 @@ from ogm_core.status import SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_core.wire.map_update import MEDIA_TYPE as UPDATES_TYPE
 from ogm_services.mapper.serving.allowed_methods import allowed_methods
+from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.api_description import MAP_HEADERS, TAGS, Operation, describe
 from ogm_services.mapper.serving.behind_proxies import check_root_path
@@ -36,7 +37,6 @@ from ogm_services.mapper.serving.page_routes import add_page_routes
 from ogm_services.mapper.serving.query_routes import add_query_routes
 from ogm_services.mapper.serving.ready_maps import NO_STORE, Ready, ReadyMaps
 from ogm_services.mapper.serving.refusals import refusal
-from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.tile_routes import add_tile_routes
 from ogm_services.mapper.serving.write_access import WriteAccess
 from ogm_services.mapper.serving.write_routes import add_write_routes
@@ -58,13 +58,13 @@ def build_app(
     metrics: Metrics,
     *,
     access: HttpAccess,
-    shares: Shares,
+    threads: AnsweringThreads,
     in_flight: InFlight | None = None,
     live: ASGIApp | None = None,
 ) -> FastAPI:
     """Make the application; nothing is computed before a request comes.
 
-    Its threads are those of `shares`, which belong to the caller. `in_flight` counts what is being sent.
+    It answers by `threads`, which belong to the caller. `in_flight` counts what is being sent.
     `live` serves WebSocket clients.
 
     Raises:
@@ -89,15 +89,15 @@ def build_app(
         )
     ):
         app.add_middleware(each.cls, *each.args, **each.kwargs)  # outside those that are added already
-    _add_map_routes(app, shares.maps, answers, ready)
-    add_tile_routes(app, shares.maps, answers, ready)
-    add_query_routes(app, answers, ready, shares.maps)
+    _add_map_routes(app, threads.maps, answers, ready)
+    add_tile_routes(app, threads.maps, answers, ready)
+    add_query_routes(app, answers, ready, threads.maps)
     add_page_routes(app, answers.free_below)
-    _add_state_routes(app, shares, answers)
-    _add_service_routes(app, shares.status, answers, health, metrics, version)
+    _add_state_routes(app, threads, answers)
+    _add_service_routes(app, threads.status, answers, health, metrics, version)
     if live is not None:
         add_live_route(app, live)
-    add_write_routes(app, writes, shares.writes)
+    add_write_routes(app, writes, threads.writes)
     add_login_routes(app, write_access, answers)
     describe(app)
     check_root_path(access.root_path, app.routes, "http.root_path")
@@ -126,8 +126,8 @@ def _add_map_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMa
     add_get(app, f"/map.{UPDATES_FORMAT}", handler, changes)
 
 
-def _add_state_routes(app: FastAPI, shares: Shares, answers: Answers) -> None:
-    maps = shares.maps
+def _add_state_routes(app: FastAPI, threads: AnsweringThreads, answers: Answers) -> None:
+    maps = threads.maps
     place = CELL_X, CELL_Y, FINE_FIRST
     cell = Operation("get_cell", "queries", "One cell", model=CellState, parameters=place)
     add_get(app, "/cell", _handler(maps, answers.cell), cell)
@@ -136,7 +136,7 @@ def _add_state_routes(app: FastAPI, shares: Shares, answers: Answers) -> None:
     quality = Operation("get_quality", "mapper", "The quality figures", model=Quality)
     add_get(app, "/quality", _handler(maps, answers.quality), quality)
     status = Operation("get_status", "mapper", "The mapper's status", model=Status)
-    add_get(app, "/status", _handler(shares.status, answers.status), status)
+    add_get(app, "/status", _handler(threads.status, answers.status), status)
 
 
 def _add_service_routes(

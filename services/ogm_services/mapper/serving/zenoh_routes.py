@@ -9,9 +9,9 @@ import zenoh
 
 from ogm_core.errors import BadParameter
 from ogm_core.wire.keys import MapKeys, Write
+from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.checks import MAX_BODY
-from ogm_services.mapper.serving.shares import Shares
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
@@ -26,7 +26,7 @@ MAX_TOLD = 16
 class ZenohRoutes:
     """What a mapper declares on a session to be asked, until `close`.
 
-    Zenoh's threads call the callbacks, which hand their query to the threads of its share.
+    Zenoh's threads call the callbacks, which hand their query to the threads that answer its kind.
     """
 
     def __init__(self, session: zenoh.Session, keys: MapKeys, in_flight: InFlight | None = None) -> None:
@@ -35,22 +35,22 @@ class ZenohRoutes:
         self._declared = ExitStack()
         self._queryables = Queryables(session, in_flight)
 
-    def declare(self, answers: Answers, writes: Mapping[Write, DoWrite], shares: Shares) -> None:
-        """Declare the queryables: from here on every question gets an answer, by the threads of `shares`."""
+    def declare(self, answers: Answers, writes: Mapping[Write, DoWrite], threads: AnsweringThreads) -> None:
+        """Declare the queryables: from here on every question gets an answer, by these `threads`."""
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
-        declare(key("map"), _in_format(answers.map, "json"), shares.maps)
-        declare(key("cell"), answers.cell, shares.maps)
-        declare(key("quality"), answers.quality, shares.maps)
-        declare(key("status"), answers.status, shares.status)
-        declare(key("snapshots"), answers.snapshots, shares.maps)
-        declare(key("raycast"), answers.queries.raycast, shares.maps)
+        declare(key("map"), _in_format(answers.map, "json"), threads.maps)
+        declare(key("cell"), answers.cell, threads.maps)
+        declare(key("quality"), answers.quality, threads.maps)
+        declare(key("status"), answers.status, threads.status)
+        declare(key("snapshots"), answers.snapshots, threads.maps)
+        declare(key("raycast"), answers.queries.raycast, threads.maps)
         # Nobody who asks for whatever there is has them computed: they take long.
-        declare(key("distance"), _in_format(answers.queries.distance), shares.maps)
-        declare(key("inflate"), _in_format(answers.queries.inflate), shares.maps)
-        self._queryables.declare_with_body(key("check"), answers.queries.check, shares.maps, MAX_BODY)
+        declare(key("distance"), _in_format(answers.queries.distance), threads.maps)
+        declare(key("inflate"), _in_format(answers.queries.inflate), threads.maps)
+        self._queryables.declare_with_body(key("check"), answers.queries.check, threads.maps, MAX_BODY)
         for name, write in writes.items():
-            declare(key(name), partial(write, who="somebody over Zenoh"), shares.writes, exact=True)
+            declare(key(name), partial(write, who="somebody over Zenoh"), threads.writes, exact=True)
 
     def ask_truth(self) -> list[zenoh.ZBytes]:
         """What simulators of this map say their world is, MAX_TOLD at most; [] at once if there is none.
@@ -67,7 +67,7 @@ class ZenohRoutes:
         return list(islice((reply.ok.payload for reply in replies if reply.ok is not None), MAX_TOLD))
 
     def close(self) -> None:
-        """Undeclare everything; who closes the shares sees to the queries that have come."""
+        """Undeclare everything; who closes the threads sees to the queries that have come."""
         self._declared.close()
 
 

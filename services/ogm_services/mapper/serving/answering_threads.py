@@ -1,4 +1,4 @@
-"""Shares of a mapper's threads: what one kind of question takes, the others still have."""
+"""Answering threads: what one kind of question takes, the others still have."""
 
 from ogm_services.replies.turns import MAX_QUESTIONS, Turns
 
@@ -8,10 +8,10 @@ ZENOH_QUESTIONS = MAX_QUESTIONS
 """So many queries of a kind may."""
 
 
-class Shares:
+class AnsweringThreads:
     """Turns for every kind of question, of one protocol: each route says which it belongs to.
 
-    A share is small, because what is made at the same time takes memory at the same time. A mapper has two of
+    They are few, because what is made at the same time takes memory at the same time. A mapper has two of
     them, one for HTTP and one for Zenoh: so 16 maps are made at once at most, 8 for each.
     """
 

@@ -1,4 +1,4 @@
-"""Shares: probes and the status are answered while maps and figures take all that there is for them."""
+"""Answering threads: probes and the status are answered while maps and figures take all theirs."""
 
 import json
 import threading
@@ -48,8 +48,8 @@ def test_over_http_probes_are_answered_while_forty_ask_for_figures_and_maps(stuc
     ]
     for thread in asking:
         thread.start()
-    shares = mapper.service._http_shares.maps
-    eventually(lambda: len(shares._waiting) == CLIENTS - 8)
+    maps = mapper.service._http_threads.maps
+    eventually(lambda: len(maps._waiting) == CLIENTS - 8)
     for path in PROBES:
         assert ask(mapper, path).status_code == 200
     assert not responses
@@ -64,7 +64,7 @@ def test_over_http_who_waits_too_long_gets_503_and_is_told_when_to_ask_again(
 ):
     monkeypatch.setattr(turns_module, "TURN_PATIENCE", 0.3)
     held = [in_background(ask, mapper, "/quality") for _ in range(8)]
-    eventually(lambda: mapper.service._http_shares.maps._working == 8)
+    eventually(lambda: mapper.service._http_threads.maps._working == 8)
     late = [in_background(ask, mapper, path) for path in ("/map.png", "/cell?x=0&y=0", "/quality")]
     for response in (future.result(DEADLINE) for future in late):
         assert (response.status_code, response.headers["retry-after"]) == (503, "2")
@@ -95,7 +95,7 @@ def test_writes_that_wait_for_the_worker_hold_up_neither(mapper, eventually, mon
     monkeypatch.setattr(mapper.service.parts.worker, "do", lambda _: go_on.wait(DEADLINE))
     url = f"{mapper.http.base_url}reset"
     writing = [in_background(httpx.post, url, timeout=DEADLINE) for _ in range(10)]
-    eventually(lambda: mapper.service._http_shares.writes._working == 2)
+    eventually(lambda: mapper.service._http_threads.writes._working == 2)
     for path in [*PROBES, "/quality", "/map.json"]:
         assert ask(mapper, path).status_code == 200
     go_on.set()
