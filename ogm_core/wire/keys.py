@@ -20,6 +20,8 @@ Write = Literal["reset", "erase", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
 Query = Literal["raycast", "check", "distance", "inflate"]
 """What is computed from a map for who asks."""
+ShareService = Literal["part", "status", "reset"]
+"""What a share of a map that is cut is asked for."""
 Service = Literal["map", "cell", "quality", "status", "snapshots", Query, Write]
 
 
@@ -78,6 +80,10 @@ class MapKeys:
     def service(self, name: Service) -> str:
         """A queryable of the mapper."""
         return f"{self.root}/{name}"
+
+    def share(self, index: int | Literal["*"], name: ShareService) -> str:
+        """A queryable of share `index` of a map that is cut; "*": of all of its shares."""
+        return f"{self.root}/shares/{index}/{name}"
 
     @property
     def updates(self) -> str:

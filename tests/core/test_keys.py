@@ -5,7 +5,7 @@ from typing import get_args
 import pytest
 
 from ogm_core.errors import BadSetting
-from ogm_core.wire.keys import MapKeys, RobotRun, Service, Source, check_name
+from ogm_core.wire.keys import MapKeys, RobotRun, Service, ShareService, Source, check_name
 
 KEYS = MapKeys("lab")
 BAD_NAMES = [None, 7, b"a", "", "a/b", "a b", "*", "**", "$*", "a?b", "a#b", "käse", "a\n", "\n", "a" * 65]
@@ -93,3 +93,10 @@ def test_the_source_of_a_key_is_whom_it_was_made_for():
 )
 def test_a_key_of_something_else_has_no_source(key):
     assert KEYS.source_of(key) is None
+
+
+def test_a_share_is_asked_by_its_number_or_all_at_once():
+    assert KEYS.share(3, "part") == "ogm/v1/lab/shares/3/part"
+    assert [KEYS.share("*", name) for name in get_args(ShareService)] == [
+        f"ogm/v1/lab/shares/*/{name}" for name in ("part", "status", "reset")
+    ]

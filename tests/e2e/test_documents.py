@@ -17,7 +17,7 @@ import typer
 
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.types import IDENTITY, PoseStamped, Scan
-from ogm_core.wire.keys import MapKeys, Service
+from ogm_core.wire.keys import MapKeys, Service, ShareService
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.cli import app
 from ogm_services.runtime import endings
@@ -89,6 +89,7 @@ def test_table_of_routes(ogm):
 def test_table_of_keys():
     keys = MapKeys("M")
     names = {f"{keys.root}/{name}": "get" for name in get_args(Service)}
+    names |= {keys.share(0, name).replace("/0/", "/<K>/"): "get" for name in get_args(ShareService)}
     names |= {
         keys.truth: "get",
         keys.updates: "put",
