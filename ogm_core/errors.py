@@ -108,6 +108,9 @@ class MissingExtra(BadInput):
     slug = "missing-extra"
 
 
+_OF_MEMORY = frozenset({"limit", "max_bytes", "max_memory", "memory"})
+
+
 class ScanRefused(OgmError):
     """A well-formed scan is not integrated; the slug is the reason that it is counted under."""
 
@@ -117,6 +120,11 @@ class ScanRefused(OgmError):
         """`kind`: in which of its ways it is refused; refusals of one kind are told together."""
         super().__init__(text)
         self.kind = kind or self.slug
+
+    @property
+    def by_memory(self) -> bool:
+        """Whether it is for want of memory alone: another map with the same limits of scans may take it."""
+        return self.kind in _OF_MEMORY
 
 
 class NoPose(ScanRefused):

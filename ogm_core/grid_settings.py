@@ -10,6 +10,7 @@ from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.model import MAX_MARGIN, CellModel
 from ogm_core.errors import SMALLER_MAP, BadSetting, LimitReached
 from ogm_core.lattice import MIN_RESOLUTION, CellRect, Clip, Lattice, Region, bounded
+from ogm_core.shares import Share
 
 Outside = Literal["clip", "drop"]
 SensorModel = Literal["beam", "sector"]
@@ -31,9 +32,10 @@ class GridSettings:
     lattice has its `anchor`, m. `outside`: what happens to a beam that leaves the bounds. In a `half_life`
     (s) cells forget half of what they know (see cells.forgetting), None: nothing ever. `separate_robots`:
     what each has seen is kept by itself, and can be left out (see separate_grid). A map keeps the cells
-    in its `clip` alone, and takes scans as if it had none. `max_cells` limits the known rectangle,
-    `max_bytes` what the map allocates, `max_scan_cells` what one scan may speak of: the cells along its
-    beams, or, as sectors, those of its area and along its outline, within the bounds or not.
+    in its `clip` alone, and takes scans as if it had none; with a `share` the clip is that share's.
+    `max_cells` limits the known rectangle, `max_bytes` what the map allocates, `max_scan_cells` what one scan
+    may speak of: the cells along its beams, or, as sectors, those of its area and along its outline, within
+    the bounds or not.
 
     Raises:
         BadSetting: a value is out of range, or the bounds do not fit the resolution, `max_cells` or the clip.
@@ -52,11 +54,14 @@ class GridSettings:
     half_life: float | None = None
     clip: Clip | None = None
     separate_robots: bool = False
+    share: Share | None = None
     max_cells: int = DEFAULT_MAX_CELLS
     max_bytes: int = DEFAULT_MAX_BYTES
     max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
 
     def __post_init__(self) -> None:
+        if self.share is not None:
+            object.__setattr__(self, "clip", self.share.clip(self.lattice))
         if not (math.isfinite(self.alpha) and self.alpha >= 0.0):
             raise BadSetting(f"alpha: 0 m or more is needed, got {self.alpha:g}")
         if self.reach is not None and not self.reach > 0.0:

@@ -11,13 +11,30 @@ from typing import Any
 
 from ogm_core.types import Pose
 
+_ONLY_OF_SOME = {"store", "share", "of_others"}
+"""Fields that the JSON has where they say something, and else has not."""
 GONE_AFTER = 60.0
 """How long a robot that is not alive is shown after its last message, s."""
 
 
 @dataclass(frozen=True, slots=True)
+class ScansOfOthers:
+    """Scans that another share of the map counts, because their sensor stood in that one.
+
+    `border`: those that may reach into this share; `border_dropped`: those of them that it has not taken, for
+    want of memory; `elsewhere`: those that cannot.
+    """
+
+    border: int = 0
+    border_dropped: int = 0
+    elsewhere: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class ScanCounts:
     """Scans of all robots: received = integrated + pending + the sum of those dropped, at every moment.
+
+    In a share of a map that is cut `of_others` are part of that sum, and the JSON of other mappers has none.
 
     Not part of those received: `lost` ones, which never arrived and cannot be had again, as the gaps in their
     sources' seqs tell; and `replayed` ones, which came again after it was decided what becomes of them.
@@ -32,6 +49,7 @@ class ScanCounts:
     lost: int = 0
     replayed: int = 0
     beams_on_robots: int = 0
+    of_others: ScansOfOthers | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +91,7 @@ class SourceStatus:
     """The scans of one sensor; `run` and `last_seq` are those of the last one taken from the queue.
 
     `dropped` holds the reasons that occurred, with counts; `hints` names what looks wrong with its data;
-    `lost` are those that never arrived; `beams_on_robots` as in `ScanCounts`.
+    `lost` are those that never arrived; `beams_on_robots` and `of_others` as in `ScanCounts`.
     """
 
     run: str
@@ -85,6 +103,7 @@ class SourceStatus:
     hints: list[str] = field(default_factory=list)
     lost: int = 0
     beams_on_robots: int = 0
+    of_others: ScansOfOthers | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +198,25 @@ class Erasure:
 
 
 @dataclass(frozen=True, slots=True)
+class ShareInfo:
+    """Which share of a map that is cut a mapper has: `index` of so many `shares`; cuts and bounds in m.
+
+    `bounds` are xmin, ymin, xmax, ymax, each None where the share is open.
+    """
+
+    index: int
+    shares: int
+    cuts_x: list[float]
+    cuts_y: list[float]
+    bounds: list[float | None]
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
     `run` is the id of the mapper's process, "" of an older one that has none. `store` is that of a mapper
-    which stores its map; the JSON of others has none.
+    which stores its map, `share` that of one which has a share of a map; the JSON of others has none.
     """
 
     map: str
@@ -198,6 +231,7 @@ class Status:
     uptime_s: float
     run: str = ""
     store: StoreInfo | None = None
+    share: ShareInfo | None = None
 
 
 def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> bytes:
@@ -207,6 +241,7 @@ def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> byt
 
 def _by_name(part: Any) -> dict[str, Any]:  # noqa: ANN401 (whichever of the dataclasses above)
     said = {field.name: getattr(part, field.name) for field in fields(part)}
-    if isinstance(part, Status) and part.store is None:
-        del said["store"]
+    for name in _ONLY_OF_SOME & said.keys():
+        if said[name] is None:
+            del said[name]
     return said

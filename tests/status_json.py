@@ -1,9 +1,17 @@
 """A status, and what JSON says of it or of its parts."""
 
-import dataclasses
 import json
 
-from ogm_core.status import MapInfo, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus, Status
+from ogm_core.status import (
+    MapInfo,
+    OtherCounts,
+    PoseCounts,
+    RobotStatus,
+    ScanCounts,
+    SourceStatus,
+    Status,
+    encode_status,
+)
 from ogm_core.types import Pose
 
 NO_POSES = dict.fromkeys(
@@ -71,4 +79,4 @@ STATUS = Status(
 
 
 def as_json(part):
-    return json.loads(json.dumps(part, default=dataclasses.asdict))
+    return json.loads(encode_status(part))

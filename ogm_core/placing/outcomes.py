@@ -23,6 +23,11 @@ class Outcomes:
         self.receipts.scan_dropped(name, sensor, reason)
         self.complain(f"{name}/{sensor}", why.kind, f"a scan is dropped ({reason}): {why.text}")
 
+    def drop_of_others(self, name: str, sensor: str, why: Reason) -> None:
+        """A scan that is another share's to count does not come into this one's cells, for want of memory."""
+        self.receipts.scan_of_others(name, sensor, "border_dropped")
+        self.complain(f"{name}/{sensor}", why.kind, f"a scan of another share is dropped here: {why.text}")
+
     def hint(self, name: str, sensor: str, hint: Hint) -> None:
         """The data of a robot's sensor seem wrong."""
         self.receipts.hint(name, sensor, hint.slug)

@@ -9,7 +9,7 @@ from ogm_core.placing.hints import Hint, Hints
 from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.outcomes import Outcomes
 from ogm_core.placing.reasons import Reason
-from ogm_core.placing.receipts import DropReason
+from ogm_core.placing.receipts import DropReason, Whose
 from ogm_core.placing.robot import Robot
 from ogm_core.placing.robots import Robots
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
@@ -40,10 +40,12 @@ class Placement:
         integrated: Callable[[float], None],
         other_robots: OtherRobots | None,
         placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
+        whose: Callable[[PlacedScan], Whose] | None = None,
     ) -> None:
         """`integrated` is told, of each scan that the sink has taken, when it was handed to the placer, s.
 
-        `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose at its stamp.
+        `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose at its stamp. Where
+        the map is cut into shares, `whose` says if a scan is this one's to count.
         """
         self._sink = sink
         self._robots = robots
@@ -52,31 +54,53 @@ class Placement:
         self._integrated = integrated
         self._other_robots = other_robots
         self._placed = placed
+        self._whose = whose
 
     def place(self, name: str, robot: Robot, sensor: str, scan: Scan, handed: float) -> None:
         """Integrate a scan that is ready, whatever comes of it: never does it stay pending."""
+        whose: Whose = "home"
         try:
             base, sweep = _pose_of(robot, scan)
-            pose = base.compose(scan.mount)
+            placed = PlacedScan(scan, base.compose(scan.mount), sweep)
+            if self._whose is not None:
+                whose = self._whose(placed)
             skipped, told = 0, _NO_HINTS
             if self._other_robots is not None:
-                placed = PlacedScan(scan, pose, sweep)
                 scan, skipped, told = self._other_robots.without(name, robot, self._robots.get, placed)
-            self._sink.integrate(scan, pose, sweep)
+            self._sink.integrate(scan, placed.pose, sweep)
         except ScanRefused as refusal:
-            why = Reason(refusal.kind, str(refusal))
-            self._outcomes.drop(name, sensor, cast(DropReason, refusal.slug), why)
+            self._refused(name, sensor, refusal, whose)
         except Exception:
-            self._outcomes.receipts.scan_dropped(name, sensor, "failed")
+            self._failed(name, sensor, whose)
             raise
         else:
-            self._outcomes.receipts.scan_integrated(name, sensor, skipped)
             self._integrated(handed)
-            self._placed(name, sensor, scan, pose)
+            if whose != "home":
+                self._outcomes.receipts.scan_of_others(name, sensor, whose)
+                return
+            self._outcomes.receipts.scan_integrated(name, sensor, skipped)
+            self._placed(name, sensor, scan, placed.pose)
             for hint in told:
                 self._outcomes.hint(name, sensor, hint)
-            for hint in self._hints.placed(robot.sources[sensor].name, scan, pose):
+            for hint in self._hints.placed(robot.sources[sensor].name, scan, placed.pose):
                 self._outcomes.hint(name, sensor, hint)
+
+    def _refused(self, name: str, sensor: str, refusal: ScanRefused, whose: Whose) -> None:
+        """Count a scan that the map does not take; it is told of where it is counted, or missing."""
+        why = Reason(refusal.kind, str(refusal))
+        if whose == "home":
+            self._outcomes.drop(name, sensor, cast(DropReason, refusal.slug), why)
+        elif refusal.by_memory:
+            self._outcomes.drop_of_others(name, sensor, why)
+        else:
+            self._outcomes.receipts.scan_of_others(name, sensor, whose)
+
+    def _failed(self, name: str, sensor: str, whose: Whose) -> None:
+        """Count a scan that a bug keeps out of the map."""
+        if whose == "home":
+            self._outcomes.receipts.scan_dropped(name, sensor, "failed")
+        else:
+            self._outcomes.receipts.scan_of_others(name, sensor, "border_dropped")
 
 
 def is_ready(robot: Robot, scan: Scan) -> bool:

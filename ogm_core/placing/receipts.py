@@ -6,7 +6,15 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Literal, NamedTuple, get_args
 
 from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS
-from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts, SourceStatus
+from ogm_core.status import (
+    MessageCounts,
+    OtherCounts,
+    PoseCounts,
+    RobotStatus,
+    ScanCounts,
+    ScansOfOthers,
+    SourceStatus,
+)
 from ogm_core.types import Pose
 
 DropReason = Literal[
@@ -24,6 +32,12 @@ DropReason = Literal[
 DROP_REASONS: tuple[DropReason, ...] = get_args(DropReason)
 PoseNote = Literal["malformed", "late", "restarted", "ambiguous", "outlier", "superseded", "refused"]
 """What is odd about a pose."""
+Whose = Literal["home", "border", "elsewhere"]
+"""Whose a placed scan is to count where a map is cut (see `ogm_core.shares`): its home's, the share in which
+its sensor stood. To others it may reach across the border, or is elsewhere."""
+OfOthers = Literal["border", "border_dropped", "elsewhere"]
+"""What a share counts of those that are others': `border_dropped` those that may reach it and are
+missing in it, for want of memory or by a bug."""
 _MAX_RUNS_ALIVE = 64
 """Runs of a robot whose liveliness tokens are told apart; more are not heard of."""
 
@@ -35,6 +49,7 @@ class _Sensor:
     received: int = 0
     integrated: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    of_others: Counter[str] = field(default_factory=Counter)
     hints: list[str] = field(default_factory=list)
     lost: int = 0
     beams_on_robots: int = 0
@@ -43,14 +58,19 @@ class _Sensor:
 
     @property
     def pending(self) -> int:
-        return self.received - self.integrated - self.dropped.total()
+        return self.received - self.integrated - self.dropped.total() - self.of_others.total()
 
-    def status(self) -> SourceStatus:
+    def told_of_others(self, in_shares: bool) -> ScansOfOthers | None:
+        return ScansOfOthers(**self.of_others) if in_shares else None
+
+    def status(self, in_shares: bool) -> SourceStatus:
         if self.told is None:
             counts = self.received, self.pending, self.integrated
             dropped, hints = dict(self.dropped), list(self.hints)
             self.told = SourceStatus(
-                *(self.run, self.last_seq, *counts, dropped, hints, self.lost), self.beams_on_robots
+                *(self.run, self.last_seq, *counts, dropped, hints, self.lost),
+                self.beams_on_robots,
+                self.told_of_others(in_shares),
             )
         return self.told
 
@@ -83,8 +103,8 @@ class _Robot:
         # Of one that was never heard nothing is worth its place: tokens cost a stranger nothing.
         return (self.heard is None and not self.restored) or now - self.seen > FORGOTTEN_AFTER
 
-    def status(self, now: float | None) -> RobotStatus:
-        sources = {name: sensor.status() for name, sensor in self.sensors.items()}
+    def status(self, now: float | None, in_shares: bool) -> RobotStatus:
+        sources = {name: sensor.status(in_shares) for name, sensor in self.sensors.items()}
         return replace(self.place(now), sources=sources)
 
     def place(self, now: float | None) -> RobotStatus:
@@ -110,9 +130,13 @@ class Receipts:
     messages of more are refused: counted in all, and to be handed on to nobody. A robot that is gone, by the
     times that are told (s, of one clock), makes room when it is forgotten; what was counted of it stays in
     the totals.
+
+    Where the map is cut into shares, a scan that is placed is integrated or dropped in its home alone; the
+    other shares count it as of others: received = integrated + pending + dropped + those of others.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, in_shares: bool = False) -> None:
+        self._in_shares = in_shares
         self._lock = threading.Lock()
         self._robots: dict[str, _Robot] = {}
         self._scans = _Sensor()
@@ -257,6 +281,12 @@ class Receipts:
             self._scans.dropped[reason] += 1
             self._changing(robot, sensor).dropped[reason] += 1
 
+    def scan_of_others(self, robot: str, sensor: str, kind: OfOthers) -> None:
+        """Count a scan that another share is to count: what became of it here."""
+        with self._lock:
+            self._scans.of_others[kind] += 1
+            self._changing(robot, sensor).of_others[kind] += 1
+
     def status(self, now: float | None = None) -> MessageCounts:
         """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s."""
         with self._lock:
@@ -270,10 +300,11 @@ class Receipts:
                     lost=scans.lost,
                     replayed=self._replayed,
                     beams_on_robots=scans.beams_on_robots,
+                    of_others=scans.told_of_others(self._in_shares),
                 ),
                 poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),
-                robots={name: robot.status(now) for name, robot in self._robots.items()},
+                robots={name: robot.status(now, self._in_shares) for name, robot in self._robots.items()},
             )
 
     def places(self, now: float) -> dict[str, RobotStatus]:

@@ -9,7 +9,7 @@ from ogm_core.placing.hints import Hints
 from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.outcomes import Outcomes
 from ogm_core.placing.placement import Placement, ScanSink, is_ready
-from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.receipts import Receipts, Whose
 from ogm_core.placing.robot import Expected, Robot
 from ogm_core.placing.robot_poses import Verdict
 from ogm_core.placing.robots import Complain, Robots
@@ -18,7 +18,7 @@ from ogm_core.placing.source import Source
 from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import NO_LIMITS, Waiting, WaitingLimits
 from ogm_core.placing.waiting_room import WaitingRoom
-from ogm_core.types import Pose, PoseStamped, Scan
+from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan
 
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
@@ -51,13 +51,14 @@ class ScanPlacer:
         robots_limit: float = math.inf,
         other_robots: OtherRobots | None = None,
         placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
+        whose: Callable[[PlacedScan], Whose] | None = None,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
         `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose in the map.
         `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
         `robots_limit`: bytes that poses, seqs and runs of all robots may hold. `other_robots` skips the beams
-        that end at other robots.
+        that end at other robots. `whose` a scan is to count, where the map is cut into shares.
         """
         self._receipts = receipts
         self._complain = complain
@@ -70,7 +71,7 @@ class ScanPlacer:
         self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
         self._outcomes = Outcomes(receipts, complain)
         self._placement = Placement(
-            *(sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots, placed)
+            *(sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots, placed, whose)
         )
         self._waiting = WaitingRoom(
             self._robots, self._outcomes, self._placement, rules.pose_wait, limits, stopping

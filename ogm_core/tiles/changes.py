@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.lattice import CellRect
 from ogm_core.tiles.copies import TileCopies
 from ogm_core.tiles.store import TILE
 
@@ -34,6 +35,13 @@ class ChangedTiles(NamedTuple):
         for first in range(0, max(len(self), 1), most):
             part = slice(first, first + most)
             yield ChangedTiles(self.copies, self.tx[part], self.ty[part])
+
+    def meeting(self, rect: CellRect) -> "ChangedTiles":
+        """Those of them in which a cell of `rect` lies."""
+        x, y = (TILE * places for places in self.places.T)
+        inside = (x < rect.ix + rect.width) & (x + TILE > rect.ix)
+        inside &= (y < rect.iy + rect.height) & (y + TILE > rect.iy)
+        return ChangedTiles(self.copies, self.tx[inside], self.ty[inside])
 
     @property
     def places(self) -> NDArray[np.int64]:

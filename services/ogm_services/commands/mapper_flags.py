@@ -20,6 +20,7 @@ from ogm_services.settings.flags import (
     MapperFlags,
     NetworkFlags,
     PrintConfig,
+    SharesFlags,
     settings_from,
 )
 from ogm_services.settings.robot_flags import RadiusFlags, SensorFlags, check_radii
@@ -38,6 +39,7 @@ def mapper(
     mapper_flags: MapperFlags,
     network: NetworkFlags,
     http: HttpFlags,
+    shares: SharesFlags,
     logging: LoggingFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
@@ -46,7 +48,7 @@ def mapper(
     out: MapperOut = None,
 ) -> None:
     """Integrate the robots' scans into a map, and serve it over Zenoh and HTTP."""
-    groups = map_flags, mapper_flags, network, http, logging
+    groups = map_flags, mapper_flags, network, http, shares, logging
     settings = settings_from(config, *groups, sensors=sensor, robots=robot, print_config=print_config)
     check_radii(robot)
     with logged_service(*settings.log.as_given), kernel_cache():

@@ -12,7 +12,7 @@ from functools import partial
 
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.other_robots import OtherRobots
-from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.receipts import Receipts, Whose
 from ogm_core.placing.robot_rules import RobotRules
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.placing.sensor_rules import SensorRules
@@ -20,6 +20,8 @@ from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.shares import Ground
+from ogm_core.types import PlacedScan
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.handing_on import skipping
 from ogm_services.mapper.intake.in_step import InStep
@@ -71,7 +73,9 @@ class Parts:
         self.memory = MemoryUse(settings.mapper.max_memory)
         """What all parts hold together; any thread."""
         self.limits = Limits.of(settings.mapper, self.memory)
-        self.receipts = Receipts()
+        self.share = settings.shares.of_mapper()
+        """Which part of a map that is cut it keeps; None: all of it."""
+        self.receipts = Receipts(in_shares=self.share is not None)
         """What became of every message; any thread."""
         data = settings.mapper.data
         self.kept_map = None if data is None else KeptMap(data)
@@ -102,7 +106,8 @@ class Parts:
         """Of this process: its liveliness token has it, and every map."""
         grid = None
         if self.kept_map is not None:
-            grid = self.kept_map.restored(settings.grid_settings(), self.run, settings.mapper.start_map)
+            made_of = settings.mapper_grid_settings()
+            grid = self.kept_map.restored(made_of, self.run, settings.mapper.start_map)
         if grid is None:
             grid = started_grid(settings, uuid.uuid4().hex, self.run)
         self.grid_settings: GridSettings = grid.settings
@@ -133,6 +138,7 @@ class Parts:
             robots_limit=limits.robots_bytes,
             other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
             placed=self.newest_scans.note,
+            whose=self._whose(),
         )
         """The worker's; what it has decided, any thread asks."""
         skip = skipping(placer.decided)
@@ -148,6 +154,13 @@ class Parts:
         """Any thread; None where the order between robots does not matter."""
         self.worker = self._worker(settings, malformed=skip)
         """A thread, which alone writes the map."""
+
+    def _whose(self) -> Callable[[PlacedScan], Whose] | None:
+        """Which share counts a placed scan; None where there is one mapper alone."""
+        settings = self.grid_settings
+        if settings.clip is None:
+            return None
+        return Ground(settings.clip, settings.lattice, settings.distances[2]).whose
 
     def _metrics(self) -> Metrics:
         return Metrics(
@@ -201,6 +214,7 @@ class Parts:
             saved=None
             if kept is None
             else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
+            share=None if self.share is None else self.share.info(),
         )
         """The answering threads ask."""
         self.live_updates = LiveUpdates(

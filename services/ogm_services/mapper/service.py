@@ -20,25 +20,21 @@ import typer
 import zenoh
 
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
-from ogm_core.errors import OgmError
+from ogm_core.errors import BadInput, OgmError
 from ogm_core.grid_settings import GridSettings
 from ogm_core.wire.keys import MapKeys
+from ogm_services.mapper.http_app import http_app
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.last_map import LastMap
 from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
 from ogm_services.mapper.parts import Parts
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.http_access import HttpAccess
-from ogm_services.mapper.serving.http_limits import HttpLimits
-from ogm_services.mapper.serving.http_routes import build_app
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
-from ogm_services.mapper.serving.live_clients import LiveClients
-from ogm_services.mapper.serving.live_route import LIVE_PATH
 from ogm_services.mapper.serving.other_mappers import OtherMappers
-from ogm_services.mapper.serving.query_routes import BODIES
+from ogm_services.mapper.serving.share_part import SharePart
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
-from ogm_services.replies.turns import Turns
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.bounded_close import Closing
 from ogm_services.runtime.bounded_start import ended_within
@@ -88,6 +84,8 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
     A mapper that does not stop within STOP_TIME, while it starts or later, ends the process, with code 1.
     """
     if out is not None:
+        if settings.shares.index is not None:
+            raise BadInput("--out: a share has but a part of the map: take the whole map from a gateway")
         check_folder(out)
     sys.setswitchinterval(SWITCH_INTERVAL)
     version, changed = importlib.metadata.version("zenoh-ogm"), ", ".join(differences(settings))
@@ -237,13 +235,11 @@ class MapperService:
         keys = MapKeys(network.map_name)
         rest = RestOfWarmUp(self.parts.grid_settings)
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
-        others = OtherMappers(session, keys, self.parts.run)
+        share = self.parts.share
+        others = OtherMappers(session, keys, self.parts.run, share=None if share is None else share.index)
         self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
         self._http_threads = _answering_threads(opening, self.parts.limits.http_questions)
-        # One thread: what live clients want is made once, and takes no more than its share of the machine.
-        self._live_turns = Turns("live", 1, self._settings.http.max_live)
-        opening.callback(self._live_turns.close)
         zenoh_threads = _answering_threads(opening, self.parts.limits.zenoh_questions)
         routes = ZenohRoutes(session, keys, self.parts.in_flight)
         opening.callback(routes.close)
@@ -256,10 +252,10 @@ class MapperService:
         self.memory.add("held", lambda: subscriber.hold.held)
         opening.callback(subscriber.close)
         others.claim()
-        opening.enter_context(self._http(listener))
+        opening.enter_context(self._http(opening, listener))
         self.updates = UpdatePublisher(self.live_map, self.parts.in_flight)
         opening.callback(self.updates.stop)
-        routes.declare(self.answers, self.parts.writes.by_name(), zenoh_threads)
+        self._declare(routes, zenoh_threads)
         _warm_up(self.parts.grid_settings)
         others.serve()
         self._begin_to_map(opening, session, subscriber, routes)
@@ -270,6 +266,15 @@ class MapperService:
         opening.callback(rest.make_way)
         rest.start()
 
+    def _declare(self, routes: ZenohRoutes, threads: AnsweringThreads) -> None:
+        """Let it be asked over Zenoh: for the map, or for its part of one."""
+        writes, share = self.parts.writes.by_name(), self.parts.share
+        if share is None:
+            routes.declare(self.answers, writes, threads)
+            return
+        part = SharePart(share.info(), self.live_map, self.answers, self.parts.in_flight)
+        routes.declare_share(share.index, part.answer, self.answers.status, writes["reset"], threads)
+
     def _begin_to_map(
         self, opening: ExitStack, session: zenoh.Session, subscriber: ZenohSubscriber, routes: ZenohRoutes
     ) -> None:
@@ -279,7 +284,8 @@ class MapperService:
         opening.callback(self.parts.worker.stop)
         if self.parts.kept_map is not None:
             self.parts.kept_map.keep()
-        self.updates.start(session, MapKeys(self._settings.network.map_name).updates)
+        if self.parts.share is None:
+            self.updates.start(session, MapKeys(self._settings.network.map_name).updates)
         subscriber.declare()
         opening.callback(self.parts.monitor.stop)
         self.parts.monitor.start(routes.ask_truth)
@@ -293,29 +299,18 @@ class MapperService:
                 host,
             )
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
+        share = self.parts.share
+        what, part = LIVE_MAP, ""
+        if share is not None:
+            what, part = "status  ", f", share {share.index} of {share.cuts.count},"
         self.addresses = [
-            f"map      {self._settings.network.map_name} on Zenoh at {zenoh_addresses}",
-            f"{LIVE_MAP} http://{f'[{host}]' if ':' in host else host}:{port}/",
+            f"map      {self._settings.network.map_name}{part} on Zenoh at {zenoh_addresses}",
+            f"{what} http://{f'[{host}]' if ':' in host else host}:{port}/",
         ]
 
-    def _http(self, listener: socket.socket) -> HttpThread:
-        parts, measured = self.parts, self.parts.metrics.measurements
-        live = LiveClients(
-            *(parts.live_updates, self._live_turns, parts.in_flight, self.answers.check_ready),
-            most=self._settings.http.max_live,
-            origins=self._access.origins,
-            counted=measured.live_clients,
-            ended=measured.live_ended,
-        )
-        app = build_app(
-            *(self.answers, self.parts.health, self.parts.writes.by_name(), self.parts.metrics),
-            access=self._access,
-            threads=self._http_threads,
-            in_flight=parts.in_flight,
-            live=live,
-        )
-        limits = HttpLimits(bodies=BODIES, websockets=(LIVE_PATH.encode(),))
-        self._http_thread = HttpThread(app, listener, limits, measured.http_closed)
+    def _http(self, opening: ExitStack, listener: socket.socket) -> HttpThread:
+        app, limits = http_app(self.parts, self._settings, self._access, self._http_threads, opening)
+        self._http_thread = HttpThread(app, listener, limits, self.parts.metrics.measurements.http_closed)
         return self._http_thread
 
 

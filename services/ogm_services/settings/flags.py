@@ -20,7 +20,14 @@ from ogm_services.settings.settings import SECTIONS, Settings
 from ogm_services.settings.sources import flag_name, settings_and_origins
 from ogm_services.settings.values import LogFormat, LogLevel, Preset
 
-PANELS = {"map": "Map", "network": "Network", "http": "HTTP", "mapper": "Mapper", "log": "Logging"}
+PANELS = {
+    "map": "Map",
+    "network": "Network",
+    "http": "HTTP",
+    "mapper": "Mapper",
+    "shares": "Shares",
+    "log": "Logging",
+}
 
 
 def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
@@ -216,6 +223,21 @@ class MapperFlags(_SettingFlags):
         str | None,
         _setting("mapper", "start_confidence", "P", "Probability that the start map is right about a cell"),
     ] = None
+
+
+@dataclass(frozen=True)
+class SharesFlags(_SettingFlags):
+    """Which part of a map that is cut a mapper has."""
+
+    section = "shares"
+
+    index: Annotated[
+        str | None, _setting("shares", "index", "K", "Keep share K of a map that is cut, and answer as it")
+    ] = None
+    cuts_x: Annotated[
+        str | None, _setting("shares", "cuts_x", "METRES", "Cut the map at these x, separated by commas")
+    ] = None
+    cuts_y: Annotated[str | None, _setting("shares", "cuts_y", "METRES", "Cut it at these y")] = None
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ from ogm_services.settings.http import SECRETS, HttpSettings
 from ogm_services.settings.robots import RobotSettings
 from ogm_services.settings.section import Section
 from ogm_services.settings.sensors import SensorSettings
+from ogm_services.settings.shares import SharesSettings
 from ogm_services.settings.values import (
     LOWER_CASE,
     NONE,
@@ -189,6 +190,7 @@ class Settings(BaseModel):
     network: NetworkSettings = Field(default_factory=NetworkSettings)
     http: HttpSettings = Field(default_factory=HttpSettings)
     mapper: MapperSettings = Field(default_factory=MapperSettings)
+    shares: SharesSettings = Field(default_factory=SharesSettings)
     log: LogSettings = Field(default_factory=LogSettings)
     sensors: tuple[SensorSettings, ...] = ()
     robots: tuple[RobotSettings, ...] = ()
@@ -201,7 +203,22 @@ class Settings(BaseModel):
             raise BadSetting(
                 "map.bounds: a map that starts with mapper.start_map has no bounds; leave out one of the two"
             )
+        self._check_shares()
         return self
+
+    def _check_shares(self) -> None:
+        cuts = self.shares.cuts
+        if self.shares.index is None:
+            return
+        self.shares.of_mapper()
+        if self.mapper.start_map is not None:
+            raise BadSetting("mapper.start_map: a map that is cut begins empty: leave it out")
+        cuts.check(self.grid_settings().lattice, self.map.bounds)
+        if cuts.count > 1 and self.map.reach is None:
+            raise BadSetting(
+                "map.reach: a map that is cut (shares.cuts_x, shares.cuts_y) needs one, so that it is known "
+                "how far scans reach into other shares: give --reach"
+            )
 
     def grid_settings(self) -> GridSettings:
         """What the map is made of."""
@@ -220,6 +237,10 @@ class Settings(BaseModel):
             max_bytes=self.mapper.max_bytes,
             max_scan_cells=self.mapper.max_scan_cells,
         )
+
+    def mapper_grid_settings(self) -> GridSettings:
+        """The same of the mapper of one share: it keeps that share's cells alone."""
+        return replace(self.grid_settings(), share=self.shares.of_mapper())
 
     def placing_rules(self) -> PlacingRules:
         """What is believed of poses and scans."""
@@ -252,6 +273,7 @@ SECTIONS: Mapping[str, type[BaseModel]] = {
     "network": NetworkSettings,
     "http": HttpSettings,
     "mapper": MapperSettings,
+    "shares": SharesSettings,
     "log": LogSettings,
 }
 """The sections of `Settings` that hold settings, by name."""

@@ -25,7 +25,11 @@ SECRET = frozenset({("http", "token")})
 """Their values are shown nowhere."""
 
 
-_FLAGS = {("network", "map_name"): "--map", ("http", "root_path"): "--root-path"}
+_FLAGS = {
+    ("network", "map_name"): "--map",
+    ("http", "root_path"): "--root-path",
+    ("shares", "index"): "--share",
+}
 """The flags that are not their keys' names; --root-path is called so by the servers that have one."""
 
 

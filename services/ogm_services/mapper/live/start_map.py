@@ -42,7 +42,7 @@ def started_grid(settings: Settings, epoch: str, run: str = "") -> OccupancyGrid
     """
     path = settings.mapper.start_map
     if path is None:
-        return OccupancyGrid(settings.grid_settings(), epoch, run)
+        return OccupancyGrid(settings.mapper_grid_settings(), epoch, run)
     try:
         return (_grid_of_npz if is_npz(path) else _grid_of_ros_map)(settings, epoch, run, path)
     except LimitReached as error:

@@ -12,7 +12,7 @@ from ogm_core.lattice import Region
 from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
-from ogm_core.status import Status, StoreInfo
+from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
@@ -64,11 +64,12 @@ class Answers:
         in_flight: InFlight | None = None,
         store: Callable[[], StoreInfo] | None = None,
         saved: SavedMaps | None = None,
+        share: ShareInfo | None = None,
     ) -> None:
         """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
 
         `in_flight` counts what is being made. `store` tells of the map on disk, and `saved` of those
-        that are saved; None: nothing is stored.
+        that are saved; None: nothing is stored. `share` is the one that this is the map of.
         """
         self._map_name = map_name
         self._map = live_map
@@ -79,6 +80,7 @@ class Answers:
         self._in_flight = in_flight or InFlight()
         self._store = store
         self._saved = saved
+        self._share = share
         self._large = LargeAnswers() if saved is None else saved.large
         self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
         """Bytes of answers that one cache may keep."""
@@ -316,6 +318,7 @@ class Answers:
             robots=counts.robots,
             uptime_s=time.monotonic() - self._started,
             store=None if self._store is None else self._store(),
+            share=self._share,
         )
 
 

@@ -70,17 +70,67 @@ def build_app(
     Raises:
         BadSetting: the path that it is served under has routes of its own.
     """
-    version = importlib.metadata.version("zenoh-ogm")
+    write_access = WriteAccess(access.token)
+    app, ready = _begun(answers, metrics, access, write_access, in_flight)
+    _add_map_routes(app, threads.maps, answers, ready)
+    add_tile_routes(app, threads.maps, answers, ready)
+    add_query_routes(app, answers, ready, threads.maps)
+    add_page_routes(app, answers.free_below)
+    _add_state_routes(app, threads, answers)
+    _add_service_routes(app, threads.status, answers, health, metrics)
+    if live is not None:
+        add_live_route(app, live)
+    add_write_routes(app, writes, threads.writes)
+    add_login_routes(app, write_access, answers)
+    return _finished(app, access)
+
+
+def build_share_app(
+    answers: Answers,
+    health: Health,
+    metrics: Metrics,
+    *,
+    access: HttpAccess,
+    threads: AnsweringThreads,
+    in_flight: InFlight,
+    what: str,
+) -> FastAPI:
+    """Make the application of one share of a map: probes, status and metrics; of the map it has but a part.
+
+    `what` it is, for who asks for more.
+
+    Raises:
+        BadSetting: as `build_app`.
+    """
+
+    async def show_what(_: Request) -> Response:
+        return PlainTextResponse(f"{what}: here are /status, /livez, /readyz, /metrics and /version\n")
+
+    app, _ = _begun(answers, metrics, access, WriteAccess(access.token), in_flight)
+    named = Operation("get_what", "mapper", "Which share of which map this is", "text/plain", problems=())
+    add_get(app, "/", show_what, named)
+    _add_status_route(app, threads.status, answers)
+    _add_service_routes(app, threads.status, answers, health, metrics)
+    return _finished(app, access)
+
+
+def _begun(
+    answers: Answers,
+    metrics: Metrics,
+    access: HttpAccess,
+    write_access: WriteAccess,
+    in_flight: InFlight | None,
+) -> tuple[FastAPI, ReadyMaps]:
+    """An application without routes, behind all middlewares; and the maps that these send again."""
     app = FastAPIOffline(
         title="zenoh-ogm mapper",
-        version=version,
+        version=importlib.metadata.version("zenoh-ogm"),
         description="A live occupancy grid map of robots' poses and 2D LiDAR scans.",
         redoc_url=None,
         openapi_tags=[{"name": name, "description": said} for name, said in TAGS.items()],
     )
     ready = ReadyMaps(answers)
     answers.count_cache(ready)
-    write_access = WriteAccess(access.token)
     for each in reversed(
         middlewares(
             *(app.routes, access, write_access, ready),
@@ -89,16 +139,11 @@ def build_app(
         )
     ):
         app.add_middleware(each.cls, *each.args, **each.kwargs)  # outside those that are added already
-    _add_map_routes(app, threads.maps, answers, ready)
-    add_tile_routes(app, threads.maps, answers, ready)
-    add_query_routes(app, answers, ready, threads.maps)
-    add_page_routes(app, answers.free_below)
-    _add_state_routes(app, threads, answers)
-    _add_service_routes(app, threads.status, answers, health, metrics, version)
-    if live is not None:
-        add_live_route(app, live)
-    add_write_routes(app, writes, threads.writes)
-    add_login_routes(app, write_access, answers)
+    return app, ready
+
+
+def _finished(app: FastAPI, access: HttpAccess) -> FastAPI:
+    """The application with all of its routes, described, and with answers for what goes wrong."""
     describe(app)
     check_root_path(access.root_path, app.routes, "http.root_path")
     app.add_exception_handler(OgmError, _ogm_error)
@@ -135,12 +180,16 @@ def _add_state_routes(app: FastAPI, threads: AnsweringThreads, answers: Answers)
     add_get(app, "/snapshots", _handler(maps, answers.snapshots), saved)
     quality = Operation("get_quality", "mapper", "The quality figures", model=Quality)
     add_get(app, "/quality", _handler(maps, answers.quality), quality)
+    _add_status_route(app, threads.status, answers)
+
+
+def _add_status_route(app: FastAPI, turns: Turns, answers: Answers) -> None:
     status = Operation("get_status", "mapper", "The mapper's status", model=Status)
-    add_get(app, "/status", _handler(threads.status, answers.status), status)
+    add_get(app, "/status", _handler(turns, answers.status), status)
 
 
 def _add_service_routes(
-    app: FastAPI, turns: Turns, answers: Answers, health: Health, metrics: Metrics, version: str
+    app: FastAPI, turns: Turns, answers: Answers, health: Health, metrics: Metrics
 ) -> None:
     async def livez(_: Request) -> Response:
         return _probe(health.not_alive())
@@ -153,7 +202,7 @@ def _add_service_routes(
         return PlainTextResponse(text, media_type=METRICS_TYPE)
 
     async def show_version(_: Request) -> Response:
-        return JSONResponse({"name": "zenoh-ogm", "version": version})
+        return JSONResponse({"name": "zenoh-ogm", "version": app.version})
 
     def probe(id_: str, summary: str) -> Operation:
         return Operation(id_, "mapper", summary, "text/plain", problems=(), probe=True)

@@ -61,11 +61,11 @@ class MapUpdates:
 
     def _cells(self, since: str | None) -> int:
         """How many cells an answer looks at; of what has changed it is few."""
-        return self._map.cells_in(None) if _revision_seen(self._map.now, since) is None else 0
+        return self._map.cells_in(None) if revision_seen(self._map.now, since) is None else 0
 
     def _made(self, since: str | None, key: object) -> Answer:
         snapshot = self._map.snapshot()
-        seen = _revision_seen(Identity.of(snapshot), since)
+        seen = revision_seen(Identity.of(snapshot), since)
         changed = ChangedTiles.since(tiles_of(snapshot), seen or 0)
         with self._in_flight.making(bytes_to_tell(snapshot, changed)):
             updates = updates_of(snapshot, changed, seen or 0, whole=seen is None)
@@ -86,7 +86,7 @@ def bytes_to_tell(snapshot: MapSnapshot, changed: ChangedTiles) -> int:
     return 2 * size + 2 * min(size, MAX_CELL_BYTES)
 
 
-def _revision_seen(now: Identity, since: str | None) -> int | None:
+def revision_seen(now: Identity, since: str | None) -> int | None:
     """The revision that `since` names of this life; None of another, and of one that is still to come."""
     if since is None:
         return None

@@ -5,6 +5,7 @@ No label takes a value of which there may be any number: sensors and runs are co
 
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 
 from prometheus_client import ProcessCollector, generate_latest
@@ -108,6 +109,9 @@ def _scans(scans: ScanCounts) -> Iterator[Metric]:
     yield _counters("ogm_scans_dropped_total", dropped, "reason", scans.dropped)
     yield CounterMetricFamily("ogm_scans_lost_total", "Scans that never arrived.", scans.lost)
     yield CounterMetricFamily("ogm_scans_replayed_total", "Scans that came again.", scans.replayed)
+    if scans.of_others is not None:
+        others = "Scans that another share of the map counts."
+        yield _counters("ogm_scans_of_others_total", others, "kind", asdict(scans.of_others))
     on_robots = "Beams that were skipped because they ended at another robot."
     yield CounterMetricFamily("ogm_beams_on_robots_total", on_robots, scans.beams_on_robots)
 

@@ -70,12 +70,22 @@ class OtherMappers:
     """
 
     def __init__(
-        self, session: zenoh.Session, keys: MapKeys, run: str | None = None, period: float = LOOK_PERIOD
+        self,
+        session: zenoh.Session,
+        keys: MapKeys,
+        run: str | None = None,
+        period: float = LOOK_PERIOD,
+        *,
+        share: int | None = None,
     ) -> None:
+        """`share`: which one it claims of a map that is cut; who claims others is not looked for."""
         self._session = session
-        self._keys = keys
         self._run = uuid.uuid4().hex if run is None else run
-        self._mine = keys.alive("mapper", _host_name(), self._run)
+        self._mine = keys.alive("mapper", _host_name() if share is None else str(share), self._run)
+        self._all = keys.alive("mapper", "*" if share is None else str(share), "*")
+        self._before = keys.alive("mapper", "", "")[:-1]
+        self._what = f"map {keys.map_name!r}" if share is None else f"share {share} of map {keys.map_name!r}"
+        self._cure = "choose another name with --map" if share is None else "take another share"
         self._period = period
         self._state: State = "starting"
         self._declared = ExitStack()
@@ -133,7 +143,7 @@ class OtherMappers:
 
     def _tokens(self) -> set[str]:
         """The keys of the tokens of other mappers, MAX_HEARD at most."""
-        tokens = self._session.liveliness().get(self._keys.alive("mapper", "*", "*"), timeout=ANSWERED)
+        tokens = self._session.liveliness().get(self._all, timeout=ANSWERED)
         return {key for key in map(self._key_of, islice(tokens, MAX_HEARD)) if key is not None}
 
     def _look_before_serving(self) -> list[Other]:
@@ -143,8 +153,7 @@ class OtherMappers:
             if other.state == "serving" or (other.state == "starting" and other.run < self._run):
                 self._state = "yielding"
                 raise AlreadyMapped(
-                    f"another mapper of map {self._keys.map_name!r} is alive ({other.key}): "
-                    "stop it, or choose another name with --map"
+                    f"another mapper of {self._what} is alive ({other.key}): stop it, or {self._cure}"
                 )
         return others
 
@@ -154,7 +163,7 @@ class OtherMappers:
 
     def _answering(self) -> Iterator[Other]:
         replies = self._session.get(
-            self._keys.alive("mapper", "*", "*"),
+            self._all,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWERED,
@@ -175,7 +184,7 @@ class OtherMappers:
     def _key_of(self, reply: zenoh.Reply) -> str | None:
         """The key of another mapper that a reply comes from; None if it is this one, or no mapper's."""
         key = "" if reply.ok is None else str(reply.ok.key_expr)
-        host, _, run = key.removeprefix(self._keys.alive("mapper", "", "")[:-1]).partition("/")
+        host, _, run = key.removeprefix(self._before).partition("/")
         named = NAME.fullmatch(host) and NAME.fullmatch(run)
         return key if named and key != self._mine else None
 
@@ -196,15 +205,14 @@ class OtherMappers:
     def _found(self, serving: frozenset[str]) -> None:
         came, went = serving - self.rivals, self.rivals - serving
         self.rivals = serving
-        name = self._keys.map_name
         if came:
             log.error(
-                "another mapper of map %r serves, too (%s): both take scans and answer, and neither is ready "
+                "another mapper of %s serves, too (%s): both take scans and answer, and neither is ready "
                 "until one is stopped",
-                *(name, _named(came)),
+                *(self._what, _named(came)),
             )
         if went:
-            log.warning("the other mapper of map %r is gone (%s)", name, _named(went))
+            log.warning("the other mapper of %s is gone (%s)", self._what, _named(went))
 
 
 def _named(keys: Collection[str]) -> str:

@@ -52,6 +52,22 @@ class ZenohRoutes:
         for name, write in writes.items():
             declare(key(name), partial(write, who="somebody over Zenoh"), threads.writes, exact=True)
 
+    def declare_share(
+        self,
+        index: int,
+        part: Callable[[Parameters], Answer],
+        status: Callable[[Parameters], Answer],
+        reset: DoWrite,
+        threads: AnsweringThreads,
+    ) -> None:
+        """Declare what share `index` of a map that is cut is asked for, in place of all that a map is."""
+        self._declared.callback(self._queryables.close)
+        declare = self._queryables.declare
+        declare(self._keys.share(index, "part"), part, threads.maps)
+        declare(self._keys.share(index, "status"), status, threads.status)
+        done = partial(reset, who="somebody over Zenoh")
+        declare(self._keys.share(index, "reset"), done, threads.writes, exact=True)
+
     def ask_truth(self) -> list[zenoh.ZBytes]:
         """What simulators of this map say their world is, MAX_TOLD at most; [] at once if there is none.
 

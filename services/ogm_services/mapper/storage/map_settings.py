@@ -16,9 +16,11 @@ from ogm_core.cells.model import CellModel, Plane
 from ogm_core.errors import BadSetting, BadStore
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import SAME_RESOLUTION
+from ogm_core.shares import Share
 from ogm_core.tiles.store import TILE
 
 _COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range", "half_life")
+_OF_SHARE = ("cuts_x", "cuts_y", "index")
 
 
 def as_text(settings: GridSettings) -> str:
@@ -29,8 +31,9 @@ def as_text(settings: GridSettings) -> str:
         "bounds": None if settings.bounds is None else list(settings.bounds),
         **{name: getattr(settings, name) for name in _COMPARED},
         **_of_model(settings.cell_model),
+        **_of_share(settings.share),
     }
-    if settings.clip is not None:
+    if settings.clip is not None and settings.share is None:
         fields["clip"] = list(dataclasses.astuple(settings.clip))
     return json.dumps(fields)
 
@@ -65,7 +68,7 @@ def settings_as_stored(text: str, given: GridSettings, where: str, cure: str) ->
     # Other planes come of another model, which says it better.
     apart = [name for name in {**stored, **now} if stored.get(name) != now.get(name)]
     contradictions = [
-        f"map.{name} is {_shown(now.get(name))}, and there {_shown(stored.get(name))}"
+        f"{_name(name)} is {_shown(now.get(name))}, and there {_shown(stored.get(name))}"
         for name in apart
         if name != "planes" or apart == ["planes"]
     ]
@@ -85,6 +88,18 @@ def _of_model(model: CellModel) -> dict[str, Any]:
         constants = {name: getattr(model, name) for name in names if name != "free_below"}
     planes = [[plane.name, np.dtype(plane.dtype).name, plane.side] for plane in model.planes]
     return {"cell_model": type(model).__name__, **constants, "planes": planes, "tile": TILE}
+
+
+def _of_share(share: Share | None) -> dict[str, Any]:
+    """Of a share of a map that is cut, which it is, and of which cuts; of a whole map nothing."""
+    if share is None:
+        return {}
+    return {"cuts_x": list(share.cuts.x), "cuts_y": list(share.cuts.y), "index": share.index}
+
+
+def _name(field: str) -> str:
+    """What a field is called among the settings."""
+    return f"shares.{field}" if field in _OF_SHARE else f"map.{field}"
 
 
 def _alike(stored: object, now: float) -> bool:

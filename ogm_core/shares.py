@@ -1,0 +1,149 @@
+"""Shares: a map that is cut into rectangles of tiles, each kept by a mapper of its own. Loads no kernels."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm_core.errors import BadSetting
+from ogm_core.lattice import MAX_INDEX, TILE, Clip, Lattice, Region
+from ogm_core.placing.receipts import Whose
+from ogm_core.status import ShareInfo
+from ogm_core.types import PlacedScan
+
+MAX_SHARES = 1024
+"""So many shares a map may have."""
+_WHOLE = 1e-6
+_ROUNDED = 2
+"""So many cells farther than `reach` a scan may write at most: its ends are rounded to cells."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """Where a map is cut: at these x and y, m, each strictly rising. Without any it is one share.
+
+    Raises:
+        BadSetting: they do not rise, or make too many shares.
+    """
+
+    x: tuple[float, ...] = ()
+    y: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for axis, cuts in (("x", self.x), ("y", self.y)):
+            for before, after in pairwise(cuts):
+                if not before < after:
+                    raise BadSetting(
+                        f"shares.cuts_{axis}: {after:g} comes after {before:g}: each has to be "
+                        "larger than the one before"
+                    )
+        if self.count > MAX_SHARES:
+            raise BadSetting(f"shares: these cuts make {self.count} shares, {MAX_SHARES} at most can be")
+
+    @property
+    def count(self) -> int:
+        """How many shares they make."""
+        return (len(self.x) + 1) * (len(self.y) + 1)
+
+    def check(self, lattice: Lattice, bounds: Region | None = None) -> None:
+        """Refuse cuts that are no edges of a lattice's tiles, or that lie outside a map's bounds.
+
+        Raises:
+            BadSetting: there is one; the text says where the nearest edges are.
+        """
+        for axis, cuts in enumerate((self.x, self.y)):
+            for cut in cuts:
+                _edge(cut, axis, lattice)
+                if bounds is not None and not bounds[axis] < cut < bounds[axis + 2]:
+                    raise BadSetting(
+                        f"shares.cuts_{'xy'[axis]}: {cut:g} m lies outside map.bounds, {bounds.span}: "
+                        "it cuts nothing off"
+                    )
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """Share `index` of a map with these cuts: counted from 0 in the south-west, along x first.
+
+    Raises:
+        BadSetting: there is no such share.
+    """
+
+    cuts: Cuts
+    index: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.index < self.cuts.count:
+            raise BadSetting(
+                f"shares.index: {self.index}: with these cuts a map has the shares 0 to {self.cuts.count - 1}"
+            )
+
+    @property
+    def bounds(self) -> tuple[float | None, float | None, float | None, float | None]:
+        """xmin, ymin, xmax, ymax, m; None where it is open."""
+        column, row = self.index % (len(self.cuts.x) + 1), self.index // (len(self.cuts.x) + 1)
+        x, y = (None, *self.cuts.x, None), (None, *self.cuts.y, None)
+        return x[column], y[row], x[column + 1], y[row + 1]
+
+    def info(self) -> ShareInfo:
+        """What a status says of it."""
+        cuts = self.cuts
+        return ShareInfo(self.index, cuts.count, list(cuts.x), list(cuts.y), list(self.bounds))
+
+    def clip(self, lattice: Lattice) -> Clip:
+        """Its cells.
+
+        Raises:
+            BadSetting: a cut is no edge of the lattice's tiles.
+        """
+        edges = (None if edge is None else _edge(edge, k % 2, lattice) for k, edge in enumerate(self.bounds))
+        return Clip(*edges)
+
+
+def _edge(cut: float, axis: int, lattice: Lattice) -> int:
+    """The first cell from a cut on, which begins a tile."""
+    side = TILE * lattice.resolution
+    tiles = (cut - lattice.anchor[axis]) / side
+    if not abs(tiles) < MAX_INDEX // TILE:
+        raise BadSetting(f"shares.cuts_{'xy'[axis]}: {cut:g} m is farther away than cells are")
+    if abs(tiles - round(tiles)) * TILE > _WHOLE:
+        below, above = (lattice.anchor[axis] + at * side for at in (math.floor(tiles), math.ceil(tiles)))
+        raise BadSetting(
+            f"shares.cuts_{'xy'[axis]}: {cut:.9g} m is no edge of tiles of {TILE} cells of "
+            f"{lattice.resolution:g} m: the nearest are {below:.9g} and {above:.9g}"
+        )
+    return TILE * round(tiles)
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The cells that one share owns, and how far scans reach, m: whose a placed scan is to count."""
+
+    clip: Clip
+    lattice: Lattice
+    reach: float
+
+    def whose(self, placed: PlacedScan) -> Whose:
+        """`home` where the sensor stood on these cells, at the scan's stamp: that holds in one share alone.
+
+        In the others the scan is at the `border` if it may reach cells of theirs, else `elsewhere`.
+        """
+        at = np.array([placed.pose[:2]])
+        if self._meets(at, 0.0):
+            return "home"
+        reach = self.reach if placed.scan.reach is None else placed.scan.reach
+        along = at if placed.sweep is None else placed.sweep.beams[:, :2]
+        return "border" if self._meets(along, reach + _ROUNDED * self.lattice.resolution) else "elsewhere"
+
+    def _meets(self, points: NDArray[np.float64], by: float) -> bool:
+        """Whether the box around some points, m, widened on all sides, has a cell of the share."""
+        low = self.lattice.in_cells(points.min(axis=0) - by)
+        high = self.lattice.in_cells(points.max(axis=0) + by)
+        clip = self.clip
+        edges = ((clip.xmin, clip.xmax), (clip.ymin, clip.ymax))
+        return all(
+            (begin is None or last >= begin) and (end is None or first < end)
+            for (begin, end), first, last in zip(edges, low.tolist(), high.tolist(), strict=True)
+        )
