@@ -35,6 +35,10 @@ class MapSnapshot:
     run: str = ""
     erasures: int = 0
     """How many of the changes were no scans: cells were erased."""
+    tag: str = ""
+    """Of a map that several mappers have written: what tells its states apart, as the revision does not."""
+    missing: tuple[dict[str, Any], ...] = ()
+    """The shares of a map that are not in it, as JSON tells them: it is of no epoch then."""
 
     @property
     def scans(self) -> int:
@@ -109,12 +113,16 @@ class MapSnapshot:
         """What every map reply carries, in the names and shapes of /map.json.
 
         `resolution`, `width` and `height` are those of the pixels; `offset` counts cells of the lattice.
+        A map of which a part is missing has `missing` in place of `epoch`, `run` and `revision`.
         """
         x, y = self.origin
+        which: dict[str, Any] = {"epoch": self.epoch, "run": self.run, "revision": self.revision}
+        if self.missing:  # whoever compares such maps compares nothing
+            which = {"missing": list(self.missing)}
+        elif self.tag:
+            which["tag"] = self.tag
         return {
-            "epoch": self.epoch,
-            "run": self.run,
-            "revision": self.revision,
+            **which,
             "stamp": self.stamp,
             "resolution": self.resolution,
             "width": self.width,

@@ -11,7 +11,7 @@ from typing import Any
 
 from ogm_core.types import Pose
 
-_ONLY_OF_SOME = {"store", "share", "of_others"}
+_ONLY_OF_SOME = {"store", "share", "of_others", "shares", "complete"}
 """Fields that the JSON has where they say something, and else has not."""
 GONE_AFTER = 60.0
 """How long a robot that is not alive is shown after its last message, s."""
@@ -212,11 +212,34 @@ class ShareInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class ShareState:
+    """How a gateway finds a share of its map: `state` is "up", "missing", or "not storing".
+
+    `bounds` are xmin, ymin, xmax and ymax, m, None where it is open; `since` when it was noticed that it is
+    missing, ns since the Unix epoch. Epoch, run and revision are those that are held of it, None before it
+    has told anything; `overload` counts the scans that it has dropped for want of time. `detail`
+    says why it is not taken, or does not store.
+    """
+
+    share: int
+    bounds: list[float | None]
+    state: str
+    since: int | None = None
+    epoch: str | None = None
+    run: str | None = None
+    revision: int | None = None
+    overload: int | None = None
+    detail: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
     `run` is the id of the mapper's process, "" of an older one that has none. `store` is that of a mapper
-    which stores its map, `share` that of one which has a share of a map; the JSON of others has none.
+    which stores its map, `share` that of one which has a share of a map; the JSON of others has none. Of a
+    gateway alone there are `shares`, and `complete`: whether all of them have told how they are, and none has
+    dropped scans that others have.
     """
 
     map: str
@@ -232,6 +255,8 @@ class Status:
     run: str = ""
     store: StoreInfo | None = None
     share: ShareInfo | None = None
+    shares: list[ShareState] | None = None
+    complete: bool | None = None
 
 
 def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> bytes:

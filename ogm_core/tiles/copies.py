@@ -233,10 +233,10 @@ def _to_copy(
     stale = store.revisions > copied
     if aging is not None:
         stale |= (store.touched > 0) & (copied < aging.last)
-    return numbers, copied, _kept(before.blocks, numbers, stale, giving_up=giving_up), stale
+    return numbers, copied, kept_blocks(before.blocks, numbers, stale, giving_up=giving_up), stale
 
 
-def _kept(
+def kept_blocks(
     blocks: tuple[Block, ...], numbers: NDArray[np.int64], stale: NDArray[np.bool_], *, giving_up: bool
 ) -> tuple[Block, ...]:
     """Blocks that are half in use or more once tiles are `stale`; the rest of others becomes stale too.

@@ -17,6 +17,7 @@ from ogm_services.commands.build_flags import build
 from ogm_services.commands.compare import compare
 from ogm_services.commands.erase import erase
 from ogm_services.commands.foxglove_flags import foxglove
+from ogm_services.commands.gateway_flags import gateway
 from ogm_services.commands.log_flags import Log
 from ogm_services.commands.mapper_flags import demo, mapper
 from ogm_services.commands.merge import merge
@@ -74,6 +75,7 @@ def program(
 
 app.command(rich_help_panel=LIVE)(demo)
 app.command(rich_help_panel=LIVE)(mapper)
+app.command(rich_help_panel=LIVE)(gateway)
 app.command(rich_help_panel=LIVE)(simulate)
 app.command(rich_help_panel=LIVE)(replay)
 app.command(rich_help_panel=LIVE)(ros2)

@@ -35,6 +35,8 @@ FLAGS = {
     "demo": f"--world --start --duration --out --robot --config {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
     "mapper": f"--out --robot --config {MAP_FLAGS} {MAPPER_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
+    f"--share --cuts-x --cuts-y {SERVICE_FLAGS}",
+    "gateway": f"--config --cuts-x --cuts-y --gather-timeout {MAP_FLAGS} {NETWORK_FLAGS} {HTTP_FLAGS} "
     f"{SERVICE_FLAGS}",
     "simulate": "--robots --robot-prefix --robot-radius --rate --seed --world --start --beams --fov "
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
@@ -107,7 +109,7 @@ def test_help_lists_every_flag_and_nothing_else(ogm, command):
 def test_help_lists_commands_by_what_they_work_on(ogm):
     shown = re.findall(r"^(?:╭─ (.+?) ─+╮|│ ([a-z]\w+) )", ogm("--help").stdout, re.MULTILINE)
     assert " ".join(panel or command for panel, command in shown) == (
-        "Options Live: mapper, robots and recorder demo mapper simulate replay ros2 record "
+        "Options Live: mapper, robots and recorder demo mapper gateway simulate replay ros2 record "
         "A running mapper and its map get status erase foxglove snapshot "
         "Recordings and stored maps, without network build quality compare merge info repair"
     )

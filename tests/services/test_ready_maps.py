@@ -24,6 +24,7 @@ class Map:
 
     identity = Identity("e", "r", 3, 7)
     cache_room = 64 * 1024**2
+    at_once = True
 
     def now(self):
         return self.identity

@@ -113,6 +113,18 @@ class Unavailable(OgmError):
     slug = "unavailable"
 
 
+class PartOfMap(Unavailable):
+    """A share of the map does not answer, and what is asked would mislead without it."""
+
+    slug = "partial-map"
+
+
+class AskShares(OgmError):
+    """A gateway cannot do it for the mappers of all shares."""
+
+    slug = "not-by-gateway"
+
+
 class Starting(Unavailable):
     """The mapper is not ready yet: it is still making its kernels ready."""
 
@@ -129,6 +141,11 @@ class Answer:
 
     @property
     def etag(self) -> str | None:
-        """Strong validator of a map: its epoch, the mapper's run, and its revision."""
+        """Strong validator of a map: its epoch, the mapper's run, and its revision.
+
+        In place of that the tag of a map that several mappers have written; None if a part of it is missing.
+        """
         meta = self.meta
-        return None if meta is None else f'"{meta["epoch"]}-{meta["run"]}-{meta["revision"]}"'
+        if meta is None or "missing" in meta:
+            return None
+        return f'"{meta["epoch"]}-{meta["run"]}-{meta.get("tag") or meta["revision"]}"'

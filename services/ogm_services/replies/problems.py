@@ -10,6 +10,7 @@ import json
 
 from ogm_core.errors import BadInput, BadStore, DiskFull, MapEmpty, OgmError
 from ogm_services.replies.answer import (
+    AskShares,
     Busy,
     Changed,
     CrossOrigin,
@@ -41,6 +42,7 @@ _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (Busy, 503),
     (Unavailable, 503),
     (NotStored, 503),
+    (AskShares, 501),
     (DiskFull, 507),
 )
 

@@ -241,6 +241,21 @@ class SharesFlags(_SettingFlags):
 
 
 @dataclass(frozen=True)
+class GatewayFlags(_SettingFlags):
+    """How the map is cut that a gateway gathers."""
+
+    section = "shares"
+
+    cuts_x: Annotated[
+        str | None, _setting("shares", "cuts_x", "METRES", "Where the map is cut, as its mappers are told: x")
+    ] = None
+    cuts_y: Annotated[str | None, _setting("shares", "cuts_y", "METRES", "The same: y")] = None
+    gather_timeout: Annotated[
+        str | None, _setting("shares", "gather_timeout", "SECONDS", "How long a share may take to answer")
+    ] = None
+
+
+@dataclass(frozen=True)
 class LoggingFlags(_SettingFlags):
     """Flags of what a service logs."""
 

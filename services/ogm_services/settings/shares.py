@@ -20,12 +20,19 @@ def _numbers_from_text(value: object) -> Any:  # noqa: ANN401 (pydantic judges t
 Lengths = Annotated[tuple[Finite, ...], BeforeValidator(_numbers_from_text)]
 
 
+MIN_GATHER_TIMEOUT, MAX_GATHER_TIMEOUT = 0.05, 10.0
+
+
 class SharesSettings(Section):
-    """Where a map is cut, m, and which of its shares a mapper has: see docs/fleet.md."""
+    """Where a map is cut, m, and which of its shares a mapper has: see docs/fleet.md.
+
+    A gateway waits `gather_timeout` s at most for what a share has to tell.
+    """
 
     cuts_x: Lengths = ()
     cuts_y: Lengths = ()
     index: Annotated[Annotated[WholeNumber, Field(ge=0)] | None, NONE] = None
+    gather_timeout: Annotated[Finite, Field(ge=MIN_GATHER_TIMEOUT, le=MAX_GATHER_TIMEOUT)] = 0.8
 
     @property
     def cuts(self) -> Cuts:

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 
 from ogm_services.mapper.live.history import History, sample_of
-from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.predicted_hits import PredictedHits
+from ogm_services.mapper.live.served_map import WatchedMap
 from ogm_services.mapper.live.true_world import Text, TrueWorld
 
 LOOK_PERIOD = 1.0
@@ -28,7 +28,7 @@ class Monitor:
     is read through snapshots, as everyone but the worker does.
     """
 
-    def __init__(self, live_map: LiveMap) -> None:
+    def __init__(self, live_map: WatchedMap) -> None:
         self.series = History()
         self._hits = PredictedHits(live_map)
         self.truth = TrueWorld()

@@ -4,7 +4,7 @@ Scans are judged by the newest copy of the map that does not have them yet: noth
 """
 
 from ogm_core.quality.first_walls import count_hits
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.served_map import WatchedMap
 
 EVERY = 10
 """One scan in so many is judged."""
@@ -17,7 +17,7 @@ MOST_BEAMS = 128
 class PredictedHits:
     """Judges scans of a live map, one in ten. One thread's; the writer is not asked to wait."""
 
-    def __init__(self, live_map: LiveMap) -> None:
+    def __init__(self, live_map: WatchedMap) -> None:
         self._map = live_map
         self._epoch = ""
         self._scans = 0

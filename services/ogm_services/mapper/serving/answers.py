@@ -14,8 +14,8 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
 from ogm_services.mapper.serving.kept_status import KeptStatus
 from ogm_services.mapper.serving.large_answers import LargeAnswers
@@ -40,7 +40,7 @@ from ogm_services.mapper.serving.map_parameters import (
 from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
 from ogm_services.mapper.serving.map_updates import MapUpdates
 from ogm_services.mapper.serving.queries import Queries
-from ogm_services.mapper.serving.query_parameters import check_names
+from ogm_services.mapper.serving.query_parameters import Parameter, check_names
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
 from ogm_services.replies.in_flight import InFlight
@@ -56,7 +56,7 @@ class Answers:
     def __init__(
         self,
         map_name: str,
-        live_map: LiveMap,
+        live_map: ServedMap,
         receipts: Receipts,
         monitor: Monitor,
         ready: Callable[[], bool] = lambda: True,
@@ -65,11 +65,13 @@ class Answers:
         store: Callable[[], StoreInfo] | None = None,
         saved: SavedMaps | None = None,
         share: ShareInfo | None = None,
+        followed: ServedMap | None = None,
     ) -> None:
         """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
 
         `in_flight` counts what is being made. `store` tells of the map on disk, and `saved` of those
-        that are saved; None: nothing is stored. `share` is the one that this is the map of.
+        that are saved; None: nothing is stored. `share` is the one that this is the map of. `followed` is
+        the map under the name that it has for who follows it, where that is another one.
         """
         self._map_name = map_name
         self._map = live_map
@@ -88,8 +90,10 @@ class Answers:
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
         self._coloured = MapPicture(value_byte)
-        self._updates = MapUpdates(live_map, self._cache, self._large, self._in_flight)
-        self.map_tiles = MapTiles(live_map, self.cache_room, self._in_flight)
+        follow = followed or live_map
+        told = self._cache if followed is None else AnswerCache(lambda: follow.now, self.cache_room)
+        self._updates = MapUpdates(follow, told, self._large, self._in_flight)
+        self.map_tiles = MapTiles(follow, self.cache_room, self._in_flight)
         """The tiles of the live map, for all who want some."""
         self._ready = ready
         self.queries = Queries(
@@ -98,13 +102,15 @@ class Answers:
                 self._cache,
                 self._large,
                 self._in_flight,
-                self.check_ready,
+                self.check_whole,
                 lambda: self.saved,
                 memory,
             )
         )
         """What is computed from the map for who asks."""
         self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self.map_tiles]
+        if told is not self._cache:
+            self._caches.append(told)
         if memory is not None:
             memory.add("caches", self.cached_bytes, let_go=self._let_go)
             memory.add("status", lambda: self._status.nbytes)
@@ -121,14 +127,35 @@ class Answers:
         for cache in self._caches:
             cache.let_go()
 
-    def check_ready(self) -> None:
-        """Refuse what needs a mapper that has started.
+    def check_started(self) -> None:
+        """Refuse what needs a service that has started; waits for nobody.
 
         Raises:
             Starting: it has not.
         """
         if not self._ready():
             raise Starting("the mapper is starting: ask again in a few seconds")
+
+    def check_ready(self) -> None:
+        """The same before a question is answered."""
+        self.check_started()
+
+    def check_whole(self) -> None:
+        """Refuse what would mislead of a map of which a part is missing: here none ever is.
+
+        Raises:
+            Starting: the mapper has not started.
+        """
+        self.check_ready()
+
+    @property
+    def at_once(self) -> bool:
+        """Whether `now` is the map that a question gets, so that what was sent once may be sent again."""
+        return True
+
+    def map_parameters(self, form: str) -> tuple[Parameter, ...]:
+        """What a format of the map takes."""
+        return MAP_FORMATS[form].parameters
 
     def map(self, form: str, given: Parameters) -> Answer:
         """The map in a format of MAP_FORMATS; with the parameter `at`, one that is saved under a name.
@@ -143,6 +170,9 @@ class Answers:
             Busy: it is large, and there is no memory or no thread left for it.
         """
         self.check_ready()
+        return self._map_now(form, given)
+
+    def _map_now(self, form: str, given: Parameters) -> Answer:
         if form == UPDATES_FORMAT:
             answer = self._updates.answer(given)
             if self._memory is not None:
@@ -173,7 +203,18 @@ class Answers:
         )
 
     def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
-        snapshot = wanted.served(self._map.snapshot(), given)
+        snapshot = self._map.snapshot()
+        answer = self._made(wanted, snapshot, given, region)
+        self._cache.keep(key, Identity.of(snapshot), answer)
+        if self._memory is not None:
+            self._memory.make_room()
+        return answer
+
+    def _made(
+        self, wanted: MapFormat, whole: MapSnapshot, given: Parameters, region: Region | None
+    ) -> Answer:
+        """A map in a format."""
+        snapshot = wanted.served(whole, given)
         cropped = snapshot if region is None else snapshot.crop(region)
         picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
         if picture is None:
@@ -190,15 +231,16 @@ class Answers:
                 body = picture.png(snapshot, colours, transparent=transparent(given))
             else:
                 body = picture.png(snapshot)
-        answer = Answer(body, wanted.media_type, shown.meta())
-        self._cache.keep(key, Identity.of(snapshot), answer)
-        if self._memory is not None:
-            self._memory.make_room()
-        return answer
+        return Answer(body, wanted.media_type, shown.meta())
 
     def _picture_of(self, wanted: MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
         """The picture of the whole map that is kept up to date, if that is what is wanted."""
-        if wanted is not MAP_FORMATS["png"] or whole.empty or given.keys() & {"max_size", "resolution"}:
+        if (
+            whole.missing
+            or wanted is not MAP_FORMATS["png"]
+            or whole.empty
+            or given.keys() & {"max_size", "resolution"}
+        ):
             return None
         palette = PALETTE.read(given)
         return self._coloured if transparent(given) else self._pictures.get(palette, self._coloured)

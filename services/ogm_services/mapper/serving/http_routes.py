@@ -158,7 +158,7 @@ def _add_map_routes(app: FastAPI, turns: Turns, answers: Answers, ready: ReadyMa
             *(f"get_map_{form}", "map", f"The map as {form.upper()}", wanted.media_type),
             model=OccupancyMap if form == "json" else None,
             problems=(404, 503),
-            parameters=wanted.parameters,
+            parameters=answers.map_parameters(form),
             headers=MAP_HEADERS,
         )
         add_get(app, f"/map.{form}", _map_handler(turns, answers, ready, form), operation)

@@ -14,8 +14,8 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.pyramid import LEAST_Z, NATIVE_Z, Square, revisions_of
 from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.newest_scans import NewestScans
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.live_view import Life, Seen, View
 from ogm_services.mapper.serving.map_tiles import MapTiles, tiled_view
 from ogm_services.replies.answer import Busy
@@ -57,7 +57,7 @@ class LiveUpdates:
     def __init__(
         self,
         map_name: str,
-        live_map: LiveMap,
+        live_map: ServedMap,
         tiles: MapTiles,
         receipts: Receipts,
         scans: NewestScans,

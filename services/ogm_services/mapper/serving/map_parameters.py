@@ -74,6 +74,11 @@ AT: Final = TextParameter(
     f"a name of 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .",
 )
 SNAPSHOT_NAME: Final = replace(AT, name="name", said="it says which snapshot", needed=True)
+COMPLETE: Final = ChoiceParameter(
+    "complete", "1: while a share of the map is missing, refuse to answer, in place of the rest", ("0", "1")
+)
+COMPLETE_FIRST: Final = replace(COMPLETE, words=("1", "0"))
+"""For what a planner loads, to which unknown cells may be free ones."""
 CELL_X: Final = NumberParameter("x", "metres, map frame", example=1.5)
 CELL_Y: Final = NumberParameter("y", "metres, map frame", example=0.5)
 

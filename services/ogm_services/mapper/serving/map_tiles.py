@@ -24,7 +24,7 @@ from ogm_core.tiles.pyramid import (
 )
 from ogm_core.tiles.view import TiledView
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
 from ogm_services.mapper.serving.map_parameters import PALETTE
 from ogm_services.mapper.serving.query_parameters import Schema, TextParameter, check_names
@@ -65,7 +65,9 @@ class MapTile:
 class MapTiles:
     """Tiles of a live map, with the streams of those that were asked for last. Any thread."""
 
-    def __init__(self, live_map: LiveMap, room: int = CACHE_BYTES, in_flight: InFlight | None = None) -> None:
+    def __init__(
+        self, live_map: ServedMap, room: int = CACHE_BYTES, in_flight: InFlight | None = None
+    ) -> None:
         """`room`: bytes of streams that may be kept; `in_flight` counts what is being made."""
         self._map = live_map
         self._room = room

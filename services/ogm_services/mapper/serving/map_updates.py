@@ -10,7 +10,7 @@ from ogm_core.tiles.view import TileView
 from ogm_core.wire.map_changes import updates_of
 from ogm_core.wire.map_update import MAX_CELL_BYTES, MEDIA_TYPE, encode_update
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.map_formats import UPDATES_FORMAT
@@ -33,7 +33,7 @@ class MapUpdates:
     """What has changed of a live map. Any thread."""
 
     def __init__(
-        self, live_map: LiveMap, cache: AnswerCache, large: LargeAnswers, in_flight: InFlight
+        self, live_map: ServedMap, cache: AnswerCache, large: LargeAnswers, in_flight: InFlight
     ) -> None:
         """`cache` keeps what is asked for, `large` and `in_flight` say whether there is room to make it."""
         self._map = live_map

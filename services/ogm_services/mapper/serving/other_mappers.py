@@ -81,7 +81,7 @@ class OtherMappers:
         """`share`: which one it claims of a map that is cut; who claims others is not looked for."""
         self._session = session
         self._run = uuid.uuid4().hex if run is None else run
-        self._mine = keys.alive("mapper", _host_name() if share is None else str(share), self._run)
+        self._mine = keys.alive("mapper", host_name() if share is None else str(share), self._run)
         self._all = keys.alive("mapper", "*" if share is None else str(share), "*")
         self._before = keys.alive("mapper", "", "")[:-1]
         self._what = f"map {keys.map_name!r}" if share is None else f"share {share} of map {keys.map_name!r}"
@@ -221,7 +221,7 @@ def _named(keys: Collection[str]) -> str:
     return ", ".join(first) + (f" and {more} more" if more > 0 else "")
 
 
-def _host_name() -> str:
+def host_name() -> str:
     """This machine's name, fit for a key: it stays the same when the mapper restarts."""
     name = "".join(c if NAME.fullmatch(c) else "-" for c in socket.gethostname())
     return name[:64] or "host"

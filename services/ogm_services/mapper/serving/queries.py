@@ -13,7 +13,7 @@ from ogm_core.queries.distances import around
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.wire.keys import Query
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
 from ogm_services.mapper.serving.checks import read_check, words_of
 from ogm_services.mapper.serving.large_answers import LargeAnswers
@@ -31,7 +31,7 @@ class Queries:
 
     def __init__(
         self,
-        live_map: LiveMap,
+        live_map: ServedMap,
         cache: AnswerCache,
         large: LargeAnswers,
         in_flight: InFlight,

@@ -2,7 +2,8 @@
 
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fastapi import Request, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -49,7 +50,7 @@ class ReadyMaps:
             response = None
             if scope["type"] == "http" and scope["method"] in ("GET", "HEAD"):
                 ready = self._ready.get((scope["path"], scope["query_string"]))
-                if ready is not None and self._of == self._answers.now():
+                if ready is not None and self._answers.at_once and self._of == self._answers.now():
                     response = ready.response_to(scope)
             await (response or app)(scope, receive, send)
 
@@ -68,7 +69,7 @@ class ReadyMaps:
     def keep(self, request: Request, ready: "Ready") -> Response:
         """The response to a request, kept if the map is still the same."""
         now = self._answers.now()
-        if ready.of[:3] == now[:3]:
+        if self._answers.at_once and ready.of[:3] == now[:3]:
             path = request.scope["path"].removeprefix(request.scope.get("root_path", ""))
             asked = path, request.scope["query_string"]
             size = ready.size + sum(map(len, asked)) + BYTES_BESIDES
@@ -109,21 +110,25 @@ class Ready:
         of: Identity,
         taken: Accepted = IDENTITY,
     ) -> None:
-        """`headers` with an ETag; `of`: the map that was looked at, on whose stamp nothing depends.
+        """`headers` with an ETag, but of a map of which a part is missing: that is never the one known.
 
-        It is packed only if that is `taken`, as most are never asked for so.
+        `of`: the map that was looked at, on whose stamp nothing depends. It is packed only if that is
+        `taken`, as most are never asked for so.
         """
         self.of = of
         self.size = self._length = len(body)
         self._text = is_text(media_type)
         plain = {**headers, **VARY} if self._text else headers
-        self._tags = headers["ETag"], tag_of_gzip(headers["ETag"])
+        tag = headers.get("ETag")
+        self._tags = () if tag is None else (tag, tag_of_gzip(tag))
         self._whole = Response(body, media_type=media_type, headers=plain)
-        self._unchanged = {self._tags[False]: Response(status_code=304, headers=plain)}
+        self._unchanged = {} if tag is None else {tag: Response(status_code=304, headers=plain)}
         self._packed: Response | None = None
         if self._text:
-            coded = {**plain, "ETag": self._tags[True]}
-            self._unchanged[self._tags[True]] = Response(status_code=304, headers=coded)
+            coded = dict(plain)
+            if tag is not None:
+                coded["ETag"] = tag_of_gzip(tag)
+                self._unchanged[coded["ETag"]] = Response(status_code=304, headers=coded)
             if goes_by_gzip(taken, self._length):
                 packed = gzipped(body)
                 self.size += len(packed)
@@ -135,7 +140,9 @@ class Ready:
         """Those of a map, or of what is said of all of it."""
         headers = _map_headers(answer)
         meta = answer.meta or {}
-        of = Identity(meta["epoch"], meta["run"], meta["revision"], meta["stamp"])
+        of = Identity("", "", -1, None)
+        if answer.etag is not None:
+            of = Identity(meta["epoch"], meta["run"], meta["revision"], meta["stamp"])
         return cls(answer.body, answer.media_type, headers, of, taken)
 
     def response_to(self, scope: Scope) -> Response | None:
@@ -146,13 +153,12 @@ class Ready:
         """
         wanted, known, codings = _lines(scope)
         if wanted and not any(_matches(wanted, tag, weak=False) for tag in self._tags):
-            changed = Changed(
-                f"the map is at {self._tags[0]} now, which is not what If-Match asks for: begin again"
-            )
+            at = f"at {self._tags[0]} now" if self._tags else "not all there"
+            changed = Changed(f"the map is {at}, which is not what If-Match asks for: begin again")
             return Response(problem_of(changed), status_of(changed), NO_STORE, MEDIA_TYPE)
         by_gzip = self._text and bool(codings) and goes_by_gzip(accepted(b",".join(codings)), self._length)
         if known:
-            for tag in (self._tags[by_gzip], self._tags[not by_gzip]):
+            for tag in self._tags[::-1] if by_gzip else self._tags:
                 if tag in self._unchanged and _matches(known, tag, weak=True):
                     return self._unchanged[tag]
         return self._packed if by_gzip else self._whole
@@ -161,16 +167,27 @@ class Ready:
 def _map_headers(answer: Answer) -> dict[str, str]:
     meta = answer.meta or {}
     origin = meta["origin"]
+    if answer.etag is None:
+        named = {"OGM-Missing": missing_in_words(meta["missing"]), **NO_STORE}
+    else:
+        named = {
+            "ETag": answer.etag,
+            "Cache-Control": "no-cache",
+            "OGM-Epoch": meta["epoch"],
+            "OGM-Run": meta["run"],
+            "OGM-Revision": str(meta["revision"]),
+        }
     return {
-        "ETag": str(answer.etag),
-        "Cache-Control": "no-cache",
+        **named,
         "OGM-Resolution": repr(meta["resolution"]),
         "OGM-Origin": f"{origin['x']!r},{origin['y']!r}",
-        "OGM-Epoch": meta["epoch"],
-        "OGM-Run": meta["run"],
-        "OGM-Revision": str(meta["revision"]),
         "OGM-Stamp": "null" if meta["stamp"] is None else str(meta["stamp"]),
     }
+
+
+def missing_in_words(missing: Sequence[Mapping[str, Any]]) -> str:
+    """The header that names the missing shares of a map."""
+    return ", ".join(f"{each['share']};since={each['since']}" for each in missing)
 
 
 def _lines(scope: Scope) -> tuple[list[str], list[str], list[bytes]]:

@@ -14,7 +14,7 @@ from ogm_core.units import MEBIBYTE
 from ogm_core.wire.map_changes import updates_of
 from ogm_core.wire.map_update import MEDIA_TYPE, encode_update
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.map_updates import bytes_to_tell, tiles_of
 from ogm_services.replies.answer import Busy
 from ogm_services.replies.in_flight import InFlight
@@ -36,7 +36,7 @@ class UpdatePublisher:
     While nobody subscribes it makes no copy of the map, and computes nothing.
     """
 
-    def __init__(self, live_map: LiveMap, in_flight: InFlight) -> None:
+    def __init__(self, live_map: ServedMap, in_flight: InFlight) -> None:
         """`in_flight` says whether there is memory to make a message."""
         self._map = live_map
         self._in_flight = in_flight

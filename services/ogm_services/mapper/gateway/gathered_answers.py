@@ -1,0 +1,177 @@
+"""Gathered answers: what can be asked of a mapper, answered for the mappers of all shares of a map."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from ogm_core.placing.receipts import Receipts
+from ogm_core.status import MapInfo, ShareState, Status
+from ogm_services.mapper.gateway.share_statuses import ShareStatuses
+from ogm_services.mapper.gateway.summed_status import OVERLOAD, summed
+from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.serving.answers import Answers
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS, map_format
+from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, COMPLETE, COMPLETE_FIRST, region_of
+from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
+from ogm_services.mapper.shares.gathered_map import GatheredMap
+from ogm_services.mapper.shares.gathered_views import GatheredView
+from ogm_services.mapper.shares.gathering import Gathering
+from ogm_services.mapper.shares.share_parts import MissingShare
+from ogm_services.replies.answer import Answer, Parameters, PartOfMap
+from ogm_services.replies.in_flight import InFlight
+from ogm_services.runtime.memory import MemoryUse
+
+PLANNERS = frozenset({"pgm", "yaml"})
+"""Formats that a planner loads, to which what is unknown may be free."""
+
+
+class GatheredAnswers(Answers):
+    """Answers of a gateway: before each, every share is asked what has changed of its part. Any thread.
+
+    Of a map of which a share is missing what is there is told, where an answer can say so. Others are
+    refused.
+    """
+
+    def __init__(
+        self,
+        map_name: str,
+        gathered: GatheredMap,
+        gathering: Gathering,
+        statuses: ShareStatuses,
+        told: GatheredView,
+        followed: GatheredView,
+        receipts: Receipts,
+        monitor: Monitor,
+        ready: Callable[[], bool],
+        memory: MemoryUse,
+        in_flight: InFlight,
+    ) -> None:
+        """`told` and `followed` are the gathered map under its two names; `receipts` are of robots' poses."""
+        super().__init__(
+            *(map_name, told, receipts, monitor, ready, memory, in_flight),
+            followed=followed,
+        )
+        self._name = map_name
+        self._gathered = gathered
+        self._gathering = gathering
+        self._statuses = statuses
+        self._up_since = time.monotonic()
+
+    @property
+    def at_once(self) -> bool:
+        """Not: whether the map is still the same its shares are to be asked."""
+        return False
+
+    def check_ready(self) -> None:
+        """Refuse while the gateway starts; else bring the map up to date."""
+        super().check_ready()
+        self._gathering.gather()
+
+    def check_whole(self) -> None:
+        """Refuse what would mislead without a part of the map.
+
+        Raises:
+            Starting: the gateway has not started.
+            PartOfMap: a share is missing.
+        """
+        self.check_ready()
+        _refuse_part(self._gathering.newest.missing)
+
+    def map_parameters(self, form: str) -> tuple[Parameter, ...]:
+        """What a format of the map takes: `complete`, too."""
+        return (*super().map_parameters(form), _complete(form))
+
+    def _map_now(self, form: str, given: Parameters) -> Answer:
+        if form not in MAP_FORMATS:
+            return super()._map_now(form, given)
+        whole = _complete(form).read(given) == "1"
+        rest = {name: value for name, value in given.items() if name != COMPLETE.name}
+        state, missing = self._gathering.newest
+        if not missing:
+            return super()._map_now(form, rest)
+        if whole:
+            _refuse_part(missing)
+        wanted, region = map_format(form, rest), region_of(rest)
+        with self._large.making(self._cells(form, rest, region)):
+            return self._made(wanted, self._gathered.partial(state, missing), rest, region)
+
+    def cell(self, given: Parameters) -> Answer:
+        """One cell; refused while the share that owns it is missing."""
+        answer = super().cell(given)
+        missing = self._gathering.newest.missing
+        if missing:
+            place = self._gathered.settings.lattice.cell_of(CELL_X.read(given), CELL_Y.read(given))
+            owner = self._gathered.layout.share_of(*place)
+            _refuse_part([each for each in missing if each.share == owner])
+        return answer
+
+    def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
+        """The quality figures of what is there; `missing_shares` names the shares that are not."""
+        figures = super().quality_fields(fresh=fresh, within=within)
+        scans = summed(self._share_statuses()).counts.scans.integrated
+        figures |= {"scans": scans, "cell_updates": None}
+        missing = self._gathering.newest.missing
+        return figures | {"missing_shares": [each.described() for each in missing]} if missing else figures
+
+    def _new_status(self) -> Status:
+        statuses = self._share_statuses()
+        sums, state = summed(statuses), self._gathering.newest.state
+        now, extent = state.named, state.extent()
+        shares = [self._state_of(share, statuses.get(share)) for share in range(self._gathered.layout.count)]
+        overload = any(status.scans.dropped.get(OVERLOAD, 0) for status in statuses.values())
+        resolution = self._gathered.settings.resolution
+        return Status(
+            map=self._name,
+            epoch=now.epoch,
+            run=now.run,
+            revision=now.revision,
+            stamp=now.stamp,
+            scans=sums.counts.scans,
+            poses=sums.counts.poses,
+            other=sums.counts.other,
+            map_info=MapInfo(sums.known_cells, sums.bytes, extent.width, extent.height, resolution),
+            robots=sums.counts.robots,
+            uptime_s=time.monotonic() - self._up_since,
+            shares=shares,
+            complete=len(statuses) == len(shares)
+            and not overload
+            and all(s.state != "missing" for s in shares),
+        )
+
+    def _share_statuses(self) -> dict[int, Status]:
+        """How the shares are that answer: it was just seen which of them do."""
+        missing = {each.share for each in self._gathering.newest.missing}
+        return self._statuses.ask(set(range(self._gathered.layout.count)) - missing)
+
+    def _state_of(self, share: int, status: Status | None) -> ShareState:
+        layout = self._gathered.layout
+        newest = self._gathering.newest
+        since = next((each.since for each in newest.missing if each.share == share), None)
+        part = newest.state.parts[share]
+        found = ShareState(
+            share=share,
+            bounds=list(layout.bounds(share)),
+            state="up" if since is None else "missing",
+            since=since,
+            detail=self._gathering.refused.get(share),
+        )
+        if part is not None:
+            found = replace(found, epoch=part.epoch, run=part.run, revision=part.revision)
+        if status is not None:
+            found = replace(found, overload=status.scans.dropped.get(OVERLOAD, 0))
+            failing = None if status.store is None else status.store.failing
+            if failing is not None and since is None:
+                found = replace(found, state="not storing", detail=failing)
+        return found
+
+
+def _complete(form: str) -> ChoiceParameter:
+    return COMPLETE_FIRST if form in PLANNERS else COMPLETE
+
+
+def _refuse_part(missing: "list[MissingShare] | tuple[MissingShare, ...]") -> None:
+    if missing:
+        names = ", ".join(str(each.share) for each in missing)
+        raise PartOfMap(f"share {names} of the map does not answer: ask again in a few seconds")

@@ -1,0 +1,1 @@
+"""A map that is cut into shares, each with a mapper of its own: how they are asked, and put together."""
