@@ -4,7 +4,8 @@ Comparing, choosing and adding take a scalar unit more instructions than all els
 takes one each, in units that are idle meanwhile. Kernels along beams take a third less time.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 from llvmlite import ir
 from numba import types
@@ -20,11 +21,8 @@ _ANY = ir.Constant(_VECTOR, ir.Undefined)
 
 
 @intrinsic
-def lowered(_: Any, cell: Any, half: Any, least: Any) -> Any:  # noqa: ANN401 - numba's types
-    """max(cell + 2 half, least), exactly, of int16 numbers with half <= 0.
-
-    Half a step fits int16 when a whole one may not, and a sum that saturates is below any `least`.
-    """
+def _lowered(_: Any, cell: Any, half: Any, least: Any) -> Any:  # noqa: ANN401 - numba's types
+    """`lowered`, as numba wants it."""
     number = types.int16
 
     def generate(_: Any, builder: Any, __: Any, arguments: Any) -> Any:  # noqa: ANN401
@@ -32,8 +30,16 @@ def lowered(_: Any, cell: Any, half: Any, least: Any) -> Any:  # noqa: ANN401 - 
         step, lowest = (builder.shuffle_vector(number, _ANY, _ALL_FIRST) for number in (step, lowest))
         for name, operand in (("sadd.sat", step), ("sadd.sat", step), ("smax", lowest)):
             form = ir.FunctionType(_VECTOR, (_VECTOR, _VECTOR))
-            function = cgutils.get_or_insert_function(builder.module, form, f"llvm.{name}.v{_LANES}i16")
+            full = f"llvm.{name}.v{_LANES}i16"
+            function = cgutils.get_or_insert_function(builder.module, form, full)  # type: ignore[no-untyped-call]
             value = builder.call(function, (value, operand))
         return builder.extract_element(value, _FIRST)
 
     return number(number, number, number), generate
+
+
+lowered = cast(Callable[[Any, Any, Any], Any], _lowered)
+"""max(cell + 2 half, least), exactly, of int16 numbers with half <= 0: for kernels.
+
+Half a step fits int16 when a whole one may not, and a sum that saturates is below any `least`.
+"""
