@@ -13,6 +13,7 @@ from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, O
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
+from ogm_core.sensor_models.one_call import OneCall
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState
@@ -51,6 +52,7 @@ class OccupancyGrid:
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
         self.lattice, self.bounds = settings.lattice, settings.clipped_bounds
         """Its lattice, and the cells that it keeps if it is bounded."""
+        self._one_call = OneCall.into(settings, self.model)
         self.time: MapTime
         """How far its time has come, and its ticks: of a map with a half-life."""
         self._aging: Aging | None
@@ -135,10 +137,12 @@ class OccupancyGrid:
             if time.ticks is not self.time.ticks:
                 aging = Aging.by(time.ticks, self.model)
         try:
-            # What the scan says: about which cells, and which of them are this map's.
-            evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
-            updated = self._extent.counted(evidence.extent())
-            updates = self._add(evidence, updated, aging) if updated.cells else 0
+            updates = self._add_at_once(scan, pose) if sweep is None else None
+            if updates is None:
+                # What the scan says: about which cells, and which of them are this map's.
+                evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
+                updated = self._extent.counted(evidence.extent())
+                updates = self._add(evidence, updated, aging) if updated.cells else 0
         except MemoryError as error:
             raise LimitReached(
                 f"the system has no memory left for the map: {SMALLER_MAP}", "memory"
@@ -149,6 +153,13 @@ class OccupancyGrid:
         self.cell_updates += updates
         self.time, self._aging = time, aging
         return updates
+
+    def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
+        """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""
+        if self._one_call is None:
+            return None
+        revision = self.revision + 1
+        return self._one_call.integrate(scan, pose, self._extent, self._store, self.max_bytes, revision)
 
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
         """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates.

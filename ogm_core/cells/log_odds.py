@@ -150,7 +150,12 @@ class LogOdds(CellModel):
         self, evidence: CellEvidence, store: object, window: tuple[int, int, int, int], revision: int
     ) -> int:
         """Add a constant to every cell that a scan speaks of (see cells.updates)."""
-        return evidence.update_cells(store, window, revision, PLANE, tuple(self.constants))
+        return evidence.update_cells(store, window, revision, *self.by_cell)
+
+    @cached_property
+    def by_cell(self) -> tuple[str, tuple[Any, ...]]:
+        """Its plane and its constants: an update does nothing else."""
+        return PLANE, tuple(self.constants)
 
     @cached_property
     def constants(self) -> CellConstants:

@@ -120,6 +120,11 @@ class CellModel(ABC):
     """Whether it has `add`: what a map that keeps its robots apart needs."""
 
     @property
+    def by_cell(self) -> tuple[str, tuple[Any, ...]] | None:
+        """A plane, and constants, with which `cells.updates` alone change its cells; None: it does more."""
+        return None
+
+    @property
     @abstractmethod
     def planes(self) -> tuple[Plane, ...]:
         """What a cell keeps."""

@@ -108,7 +108,7 @@ def observe(placed: PlacedScan, settings: GridSettings) -> Evidence:
     ends, lines = project(placed, lattice, settings, exact=exact)
     if bounds is not None and settings.outside == "drop":
         _drop_outside(ends, bounds)
-    if _may_be_too_large(placed.scan, settings):
+    if may_be_too_large(placed.scan, settings):
         _check_size(beams.count_cells(ends, exact), settings)
     return Evidence(dda, (ends, lines)) if exact else Evidence(bresenham, (ends,))
 
@@ -120,7 +120,7 @@ def _passed(placed: PlacedScan, settings: GridSettings) -> Evidence:
     _check_length(ends, scan, settings)
     if bounds is not None and settings.outside == "drop":
         _drop_outside(ends, CellRect(*(SUBCELLS * edge for edge in bounds)))
-    if _may_be_too_large(scan, settings):
+    if may_be_too_large(scan, settings):
         _check_size(beams.count_cells(ends, False) / SUBCELLS, settings)
     weights = counted_beams.weigh(read_only(scan.ranges), tuple(beam_model(scan, settings)), ends)
     return Evidence(passing, (ends, weights))
@@ -147,7 +147,7 @@ def _drop_outside(ends: NDArray[np.int64], bounds: CellRect) -> None:
         raise OutsideBounds(f"all {counted} beams start or end outside the bounds")
 
 
-def _may_be_too_large(scan: Scan, settings: GridSettings) -> bool:
+def may_be_too_large(scan: Scan, settings: GridSettings) -> bool:
     """Whether a scan could speak of more cells than one may, which is seldom; that is known at once."""
     reach = settings.distances[2] if scan.reach is None else scan.reach
     longest = 1.5 * min(scan.range_max, reach) / settings.resolution + 2.0
@@ -177,7 +177,7 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
         ends = project(placed, lattice, settings).ends
         _drop_outside(ends, bounds)
         kinds = ends[beams.KIND]
-    if _may_be_too_large(placed.scan, settings):
+    if may_be_too_large(placed.scan, settings):
         counts = placed.scan.ranges if kinds.size == 0 else np.where(kinds, placed.scan.ranges, np.nan)
         _check_size(ScanSize(settings, bounded=False).of(replace(placed.scan, ranges=counts)), settings)
     try:

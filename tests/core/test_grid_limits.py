@@ -13,6 +13,7 @@ from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
+from ogm_core.sensor_models import one_call
 from ogm_core.types import Pose, Scan
 
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
@@ -307,14 +308,19 @@ def test_the_longest_beam_in_the_smallest_cells():
     assert grid.rect == CellRect(1, 0, 999_500, 51)
 
 
-def test_a_system_without_memory_is_a_limit(monkeypatch):
+@pytest.mark.parametrize(
+    ("module", "name", "length"), [(grid_module, "observe", 2.0), (one_call, "read_only", 1.0)]
+)
+def test_a_system_without_memory_is_a_limit(module, name, length, monkeypatch):
+    """Whether a scan tells of new cells, or goes in in one call."""
+
     def fail(*_):
         raise MemoryError
 
     grid = grid_of()
     grid.integrate(scan_of([1.0]), ORIGIN)
-    monkeypatch.setattr(grid_module, "observe", fail)
-    refuses(grid, scan_of([1.0]), ORIGIN)
+    monkeypatch.setattr(module, name, fail)
+    refuses(grid, scan_of([length]), ORIGIN)
 
 
 def fan(metres, beams=10):

@@ -36,7 +36,8 @@ def warm_up(settings: GridSettings) -> None:
     """Load or compile every kernel for scans, the status and pictures, on a small map of the same kind."""
     small, scan, pose = _small(settings)
     scratch = LiveMap(OccupancyGrid(small))
-    scratch.integrate(scan, pose)
+    for _ in range(2):  # kernels of a scan that tells of new cells, and of one that does not
+        scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     hits_at_robots(small)(
         PlacedScan(scan, pose),
