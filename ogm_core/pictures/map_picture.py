@@ -3,6 +3,9 @@
 Each row of tiles is a finished piece of the deflate stream, a strip. It ends with a full flush, so it neither
 refers to what stands before it nor leaves bits over, and strips can stand in any order (P. Deutsch: RFC 1951,
 sections 2 and 3.2.4). The check sum of all rows is put together from those of the strips.
+
+Where a model's cells are dear to publish, as counts are, what has not changed of a strip is unpacked from the
+one before: of a row of tiles only those are published that have changed, and the cells that these decide.
 """
 
 import threading
@@ -10,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from isal import isal_zlib
+from numpy.typing import NDArray
 
 from ogm_core.cells.model import Encoder
 from ogm_core.cells.value_bytes import Colours
@@ -28,10 +32,18 @@ _ADLER = 65521
 class Strip(NamedTuple):
     """Rows as a piece of a picture's stream: of which cells; the bytes; check and size of the rows."""
 
-    of: tuple[object, ...]
+    part: CellRect
+    numbers: NDArray[np.int64]
+    """Of the tiles that it depends on: [tx, ty], the first one at `tiles`."""
+    tiles: tuple[int, int]
     piece: bytes
     check: int
     size: int
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """Its pixels, [iy, ix], row 0 south."""
+        rows = isal_zlib.decompressobj(-isal_zlib.MAX_WBITS).decompress(self.piece)
+        return np.frombuffer(rows, np.uint8).reshape(self.part.height, -1)[::-1, 1:]
 
 
 class MapPicture:
@@ -78,18 +90,53 @@ class MapPicture:
 
     def _strip(self, snapshot: MapSnapshot, view: TiledView, ty: int) -> Strip:
         """The rows of the snapshot that lie in this row of tiles: those of before, if they are the same."""
-        rect = view.rect
+        rect, margin = view.rect, snapshot.model.margin
         south, north = max(rect.iy, ty * TILE), min(rect.iy + rect.height, (ty + 1) * TILE)
-        around = _tiles_around(CellRect(rect.ix, south, rect.width, north - south), snapshot.model.margin)
-        of = (rect.ix, rect.width, south, north, _numbers(view.tiles, around))
-        before = self._strips.get(ty)
-        if before is not None and before.of == of:
+        part = CellRect(rect.ix, south, rect.width, north - south)
+        columns, rows = _tiles_around(part, margin)
+        numbers, before = _numbers(view.tiles, (columns, rows)), self._strips.get(ty)
+        if before is not None and before.part == part and np.array_equal(before.numbers, numbers):
             return before
-        pixels = snapshot.encode(self._encoder, slice(south - rect.iy, north - rect.iy))[::-1]
-        rows = unfiltered(pixels)
+        strip = Strip(part, numbers, (columns.start, rows.start), b"", 0, 0)
+        stream = unfiltered(self._pixels(snapshot, before, strip)[::-1])
         packer = isal_zlib.compressobj(LEVEL, isal_zlib.DEFLATED, -isal_zlib.MAX_WBITS)
-        piece = packer.compress(rows) + packer.flush(isal_zlib.Z_FULL_FLUSH)
-        return Strip(of, piece, isal_zlib.adler32(rows), rows.nbytes)
+        piece = packer.compress(stream) + packer.flush(isal_zlib.Z_FULL_FLUSH)
+        return strip._replace(piece=piece, check=isal_zlib.adler32(stream), size=stream.nbytes)
+
+    def _pixels(self, snapshot: MapSnapshot, before: Strip | None, strip: Strip) -> NDArray[np.uint8]:
+        """The pixels of a strip, with what has not changed since the one before, if that is worth it."""
+        part = strip.part
+        if (
+            before is None
+            or (part.iy, part.height) != (before.part.iy, before.part.height)
+            or snapshot.model.table_of(self._encoder) is not None
+        ):
+            return snapshot.part(part).encode(self._encoder)
+        pixels = np.empty((part.height, part.width), np.uint8)
+        kept, first = part.intersection(before.part), before.part.ix
+        west, there = kept.ix - part.ix, kept.ix - first
+        pixels[:, west : west + kept.width] = before.pixels()[:, there : there + kept.width]
+        stale = _stale(before, strip, snapshot.model.margin)
+        edges = np.flatnonzero(np.diff(stale, prepend=False, append=False))
+        for west, east in edges.reshape(-1, 2).tolist():
+            columns = CellRect(part.ix + west, part.iy, east - west, part.height)
+            pixels[:, west:east] = snapshot.part(columns).encode(self._encoder)
+        return pixels
+
+
+def _stale(before: Strip, now: Strip, margin: int) -> NDArray[np.bool_]:
+    """Which columns of pixels are not what they were: those around tiles that have changed, and new ones."""
+    old, new = before.part, now.part
+    stale = np.ones(new.width, np.bool_)
+    stale[max(old.ix - new.ix, 0) : max(old.ix - new.ix + old.width, 0)] = False
+    shift = before.tiles[0] - now.tiles[0]
+    here, there = now.numbers[max(shift, 0) :], before.numbers[max(-shift, 0) :]
+    both = min(len(here), len(there))
+    changed = np.ones(len(now.numbers), np.bool_)
+    changed[max(shift, 0) : max(shift, 0) + both] = (here[:both] != there[:both]).any(axis=1)
+    for west in (TILE * (now.tiles[0] + np.flatnonzero(changed)) - new.ix).tolist():
+        stale[max(west - margin, 0) : max(west + TILE + margin, 0)] = True
+    return stale
 
 
 def _tiles_around(part: CellRect, margin: int) -> tuple[slice, slice]:
@@ -99,7 +146,7 @@ def _tiles_around(part: CellRect, margin: int) -> tuple[slice, slice]:
     return slice(west, east), slice(south, north)
 
 
-def _numbers(tiles: TiledCells, around: tuple[slice, slice]) -> bytes:
+def _numbers(tiles: TiledCells, around: tuple[slice, slice]) -> NDArray[np.int64]:
     """The numbers of these tiles, 0 where the store has none: equal numbers are equal cells."""
     first = tiles.rect.ix // TILE, tiles.rect.iy // TILE
     found = np.zeros([part.stop - part.start for part in around], np.int64)
@@ -109,7 +156,7 @@ def _numbers(tiles: TiledCells, around: tuple[slice, slice]) -> bytes:
         here.append(slice(low - part.start, max(high, low) - part.start))
         there.append(slice(low - begin, max(high, low) - begin))
     found[tuple(here)] = tiles.numbers[tuple(there)]
-    return found.tobytes()
+    return found
 
 
 def combined(parts: list[tuple[int, int]]) -> int:

@@ -9,8 +9,11 @@ import pytest
 from PIL import Image
 
 import naive
+from ogm_core.cells import rate_kernel
+from ogm_core.cells.compiled import compiled
 from ogm_core.cells.log_odds import PLANE, LogOdds
 from ogm_core.cells.model import Plane
+from ogm_core.cells.rate import Rate
 from ogm_core.files.map_files import PALETTES, encode_png
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -259,3 +262,54 @@ def test_an_older_snapshot_is_drawn_after_a_newer_one():
     for snap in (second, first, second):
         data = picture_png(snap, picture=picture)
         assert np.array_equal(pixels(data), drawn(snap.model, snap.cells, "ros"))
+
+
+@pytest.mark.parametrize("finest", [False, True], ids=["cells", "halves"])
+@pytest.mark.parametrize("bounds", [None, Region(-7.0, -9.0, 12.9, 6.3)], ids=["unbounded", "bounded"])
+def test_pictures_of_counts_that_grow_in_all_directions(bounds, finest):
+    rng = np.random.default_rng(12)
+    grid = OccupancyGrid(GridSettings(0.1, compiled(Rate()), bounds=bounds), "e")
+    picture = MapPicture(PALETTES["ros"])
+    for k in range(30):
+        at = rng.uniform(-1.0, 1.0, 2) * (1 + k // 2 if bounds is None else 8.0)
+        grid.integrate(random_scan(rng, k), Pose(*at.tolist(), float(rng.uniform(0, 6))))
+        if k == 20:
+            grid.reset("f")
+            continue
+        snap = grid.snapshot().finest() if finest else grid.snapshot()
+        picture_png(snap, picture=picture)
+
+
+@pytest.mark.parametrize("finest", [False, True], ids=["cells", "halves"])
+def test_of_counts_only_what_may_have_changed_is_published_again(finest, monkeypatch):
+    """A scan in one tile of a long hall, with hits along its edges: cells beside it change, too."""
+    published, compiled_publish = [], rate_kernel.publish
+
+    def publish(passing, hits, unanswered, rule):
+        edge = 2 * rule.margin
+        published.append((passing.shape[0] - edge) * (passing.shape[1] - edge))
+        return compiled_publish(passing, hits, unanswered, rule)
+
+    monkeypatch.setattr(rate_kernel, "publish", publish)
+    grid = OccupancyGrid(GridSettings(0.1, Rate()), "e")
+    picture = MapPicture(PALETTES["probability"])
+    rng = np.random.default_rng(1)
+
+    def shown():
+        published.clear()
+        snap = grid.snapshot().finest() if finest else grid.snapshot()
+        data = picture.png(snap)
+        count = sum(published)
+        assert np.array_equal(pixels(data), pixels(encode_png(snap, "probability")))
+        return count, snap.width * snap.height
+
+    for k in range(12):
+        grid.integrate(random_scan(rng, k), Pose(10.0 * k, 0.0, 0.0))
+    count, cells = shown()
+    assert count == cells
+    for k in range(20):
+        near = Scan(13 + k, 0.0, math.pi / 2, 0.0, 8.0, np.full(4, 3.1625, np.float32))
+        grid.integrate(near, Pose(3.2, 3.2, 0.0))  # in the middle of the tile (0, 0) of 6.4 m
+    count, _ = shown()
+    side, margin = (2 * TILE, 3) if finest else (TILE, 1)
+    assert side * (side + 2 * margin) <= count <= (side + 2 * TILE) * (side + 2 * margin) < cells / 4
