@@ -14,6 +14,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, observe
 from ogm_core.sensor_models.one_call import OneCall
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState
@@ -60,6 +61,8 @@ class OccupancyGrid:
         self._copies: TileCopies | None = None
         self.kept_bytes = 0
         """What copies for a checkpoint hold that none of what is served shares."""
+        self.threads: UpdateThreads | None = None
+        """What updates the cells of large scans, if not this thread alone; who gives it closes it."""
         self.reset(epoch)
 
     def reset(self, epoch: str) -> None:
@@ -156,10 +159,14 @@ class OccupancyGrid:
 
     def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
         """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""
-        if self._one_call is None:
+        beams, threads = scan.ranges.size, self.threads
+        if self._one_call is None or (threads is not None and threads.wanted(beams)):
             return None
-        revision = self.revision + 1
-        return self._one_call.integrate(scan, pose, self._extent, self._store, self.max_bytes, revision)
+        place = self._extent, self._store, self.max_bytes, self.revision + 1
+        updates = self._one_call.integrate(scan, pose, *place)
+        if threads is not None and updates is not None:
+            threads.alone(beams, updates)
+        return updates
 
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
         """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates.
@@ -179,7 +186,11 @@ class OccupancyGrid:
         store = self._make_room(evidence, updated)
         if aging is not None:
             aging.before_writing(store, updated, self.revision + 1)
-        updates = self.model.update(evidence, store, self._window(evidence, store), self.revision + 1)
+        work = evidence, store, self._window(evidence, store), self.revision + 1
+        if self.threads is None:
+            updates = self.model.update(*work)
+        else:
+            updates = self.threads.update(self.model, updated, *work)
         extent.add(updated)
         return updates
 

@@ -24,10 +24,15 @@ from numpy.typing import NDArray
 from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
+from ogm_core.sensor_models.strip_work import work_of_beams
 from ogm_core.tiles.marks import touch, touch_rows
 from ogm_core.tiles.store import TILE, TILE_BITS
 
 FRACTION_BITS = 42
+CUT = 32
+"""Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
+CELL_WORK = 1.0
+"""How much work a cell is: one along a beam is 1."""
 _ONE = 2.0**FRACTION_BITS
 _HALF = _ONE / 2.0
 _LONGEST_PIECE = 4000
@@ -198,6 +203,11 @@ def touch_tiles(
     return fresh
 
 
+def strip_work(ends: NDArray[np.int64], window: Plain, work: NDArray[np.float64]) -> None:
+    """Add to `work` about how many cells will be updated in each CUT columns of the window."""
+    work_of_beams(ends, 0, window, CUT, work)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def last_in_strip(k: int, last: int, left: int, bias: int, step: int, bits: int) -> int:
     """Last step, up to `last`, whose minor coordinate is at most `left` cells beyond that of step `k`."""
@@ -218,18 +228,20 @@ def update_cells(
     """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
     Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
-    the store of `cells` and `touched` begins in its corner. The sensor's own cell is never updated.
+    `column` begins in its corner, `touched` with the tile that holds it. The sensor's own cell never is.
 
     Unsigned addresses spare numba's check for negative indices, and signs are part of the numbers that are
     added. A line is cut at the edges of the strips: within one, where j is the major axis, the address of its
     cells is a fixed-point number itself, and one addition a cell is enough.
     """
-    window = CellRect(*window)
+    window, west = CellRect(*window), column[0] & (TILE - 1)
     updates = fresh = 0
     for b in range(ends.shape[1]):
         if ends[KIND, b] == SKIPPED:
             continue
         i0, j0, i1, j1 = counted_from(window, ends, b)
+        if max(i0, i1) < 0 or min(i0, i1) >= window.width:
+            continue  # in another thread's strips, most often (see update_threads)
         along_i, si, sj, major, bias, step, first, last = clipped_line(
             i0, j0, i1, j1, window.width, window.height
         )
@@ -244,16 +256,16 @@ def update_cells(
             k = first
             while k <= last_free:
                 i = i0 + si * k
-                left = left_in_tile(i, si)
+                left = left_in_tile(i + west, si)
                 end = min(k + left, last_free)
                 base = column[np.uint64(i)] + (j0 << TILE_BITS) - si
-                fresh += touch(touched, i, j0 + ((acc + gain) >> FRACTION_BITS), revision)
+                fresh += touch(touched, i + west, j0 + ((acc + gain) >> FRACTION_BITS), revision)
                 for _ in range(end - k + 1):
                     acc += gain
                     base += si
                     address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
                     cells[address] = passed(cells[address], 1.0, constants)
-                fresh += touch(touched, i, j0 + (acc >> FRACTION_BITS), revision)
+                fresh += touch(touched, i + west, j0 + (acc >> FRACTION_BITS), revision)
                 k = end + 1
         else:
             origin, turn = signed(bias, step, si)
@@ -262,9 +274,9 @@ def update_cells(
             while k <= last_free:
                 s = (origin + k * turn) >> FRACTION_BITS
                 i = i0 + s
-                left = left_in_tile(i, si)
+                left = left_in_tile(i + west, si)
                 end = min(k + _LONGEST_PIECE, last_in_strip(k, last_free, left, bias, step, FRACTION_BITS))
-                fresh += touch_rows(touched, i, j0 + sj * k, j0 + sj * end, revision)
+                fresh += touch_rows(touched, i + west, j0 + sj * k, j0 + sj * end, revision)
                 acc = origin + (k - 1) * turn
                 base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)
                 for _ in range(end - k + 1):
@@ -275,5 +287,5 @@ def update_cells(
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
             cells[address] = ended(cells[address], 1.0, constants)
-            fresh += touch(touched, i1, j1, revision)
+            fresh += touch(touched, i1 + west, j1, revision)
     return updates, fresh

@@ -38,9 +38,14 @@ from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.sensor_models.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
+from ogm_core.sensor_models.strip_work import work_of_beams
 from ogm_core.tiles.marks import touch, touch_rows
-from ogm_core.tiles.store import TILE_BITS
+from ogm_core.tiles.store import TILE, TILE_BITS
 
+CUT = 32
+"""Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
+CELL_WORK = 1.0
+"""How much work a cell is: one along a beam is 1."""
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""
 
@@ -140,8 +145,10 @@ def _stairs_of(
 ) -> tuple[int, int, Stairs, int, int]:
     """Start cell of beam `b`, its stairs, first and last step inside the window."""
     i0, j0, i1, j1 = counted_from(window, ends, b)
+    if ends[KIND, b] == SKIPPED or max(i0, i1) < 0 or min(i0, i1) >= window.width:
+        return i0, j0, Stairs(True, 1, 1, 0, 0, 0, 0, 0, 1.0), 1, 0
     stairs = staircase(i1 - i0, j1 - j0, lines[0, b], lines[1, b], lines[2, b], lines[3, b])
-    if ends[KIND, b] == SKIPPED or stairs.columns + stairs.rows == 0:
+    if stairs.columns + stairs.rows == 0:
         return i0, j0, stairs, 1, 0
     first, last = clip(i0, j0, stairs, window.width, window.height)
     return i0, j0, stairs, first, last
@@ -217,6 +224,16 @@ def touch_tiles(
     return fresh
 
 
+def strip_work(
+    ends: NDArray[np.int64],
+    lines: NDArray[np.float64],
+    window: Plain,
+    work: NDArray[np.float64],
+) -> None:
+    """Add to `work` about how many cells will be updated in each CUT columns of the window."""
+    work_of_beams(ends, 0, window, CUT, work)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_cells(
     ends: NDArray[np.int64],
@@ -231,13 +248,13 @@ def update_cells(
     """Add the scan's evidence to the cells, beam after beam, and write `revision` into their tiles.
 
     Returns the number of cell updates and of tiles that held 0 before. Only cells in `window` are updated;
-    the store of `cells` and `touched` begins in its corner. The sensor's own cell is never updated.
+    `column` begins in its corner, `touched` with the tile that holds it. The sensor's own cell never is.
 
     A beam is cut where it enters another strip: within one, every step along the major axis changes the
     address by `ahead`, and one along the minor axis by `climb` more. Unsigned addresses spare numba's check
     for negative indices.
     """
-    window = CellRect(*window)
+    window, west = CellRect(*window), column[0] & (TILE - 1)
     updates = fresh = 0
     for b in range(ends.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(ends, lines, b, window)
@@ -252,8 +269,8 @@ def update_cells(
         step, bits = stairs.step, stairs.bits
         while t <= last_free:
             i, j = _cell_at(i0, j0, stairs, t)
-            end = _last_in_strip(i, stairs, t, last_free)
-            fresh += touch_rows(touched, i, j, _cell_at(i0, j0, stairs, end)[1], revision)
+            end = _last_in_strip(i + west, stairs, t, last_free)
+            fresh += touch_rows(touched, i + west, j, _cell_at(i0, j0, stairs, end)[1], revision)
             acc = stairs.first + (t - 1) * step
             base = column[np.uint64(i)] + (j << TILE_BITS) - ((acc + step) >> bits) * climb - ahead
             for _ in range(end - t + 1):
@@ -266,5 +283,5 @@ def update_cells(
             i, j = ends[IX, b] - window.ix, ends[IY, b] - window.iy
             address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
             cells[address] = ended(cells[address], 1.0, constants)
-            fresh += touch(touched, i, j, revision)
+            fresh += touch(touched, i + west, j, revision)
     return updates, fresh

@@ -23,7 +23,7 @@ from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.projection import beam_model, project, read_only
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.sensor_models.true_line import MAX_COLUMNS, SUBCELLS
-from ogm_core.tiles.store import TileStore
+from ogm_core.tiles.store import TILE, TileStore
 from ogm_core.types import PlacedScan, Scan
 
 _PROBE = 8
@@ -55,10 +55,14 @@ class Evidence:
         return int(self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched.copy(), 1))
 
     def touch(self, store: TileStore, window: CellRect, revision: int) -> None:
-        """Mark every tile that `update_cells` would write with `revision`."""
-        store.tiles_used += int(
-            self.kernels.touch_tiles(*self.arrays, tuple(window), store.touched, revision)
-        )
+        """Mark every tile that `update_cells` would write with `revision`.
+
+        In a part of a store that begins inside a tile also those of it that the part before has to mark.
+        """
+        plane = next(iter(store.planes.values()))
+        west = int(plane.column[0]) % (TILE * plane.side) // plane.side
+        whole = window.ix - west, window.iy, window.width + west, window.height
+        store.tiles_used += int(self.kernels.touch_tiles(*self.arrays, whole, store.touched, revision))
 
     def update_cells(
         self, store: TileStore, window: CellRect, revision: int, plane: str, constants: Plain

@@ -28,7 +28,9 @@ from ogm_core.sensor_models.beams import HIT, KIND, NO_RETURN, Plain
 from ogm_core.sensor_models.bresenham import FRACTION_BITS, left_in_tile
 from ogm_core.sensor_models.counted_beams import cell_at, half_inside, last_passed, points_in, share_of_hit
 from ogm_core.sensor_models.passing_extent import extent, touch_tiles
+from ogm_core.sensor_models.strip_work import work_of_beams
 from ogm_core.sensor_models.true_line import (
+    SUBCELL_BITS,
     Line,
     entered,
     half_columns,
@@ -40,8 +42,12 @@ from ogm_core.sensor_models.true_line import (
 from ogm_core.tiles.marks import touch, touch_rows
 from ogm_core.tiles.store import TILE, TILE_BITS
 
-__all__ = ["extent", "touch_tiles", "update_planes"]
+__all__ = ["extent", "strip_work", "touch_tiles", "update_planes"]
 
+CUT = 32
+"""Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
+CELL_WORK = 1.0
+"""How much work a cell is: one along a beam is 1."""
 _LONGEST_PIECE = 4000
 """Rows that are walked in one go: addresses in fixed point stay below 2^63."""
 _MOST_CARRIES = 2**16 - 1
@@ -67,16 +73,18 @@ def _count_passing(
     A line is cut at tile edges where i is the major axis, else at the edges of the strips: there the
     address of its cells is a fixed-point number itself.
     """
-    acc, step, sign = row_at_start(line), line.step, line.sign
+    acc, step, sign, west = row_at_start(line), line.step, line.sign, column[0] & (TILE - 1)
     k, last = steps_inside(line, last_passed(line, kind), acc, window.width, window.height)
     updates, fresh = max(0, last - k + 1), 0
     while k <= last:
         at, a, along = acc + k * step, acc + (k - 1) * step, line.start + sign * k
         row = line.aside + (at >> FRACTION_BITS)
         if line.along_i:
-            end = min(k + left_in_tile(along, sign), last)
-            fresh += touch(touched, along, row, revision)
-            fresh += touch(touched, along, line.aside + ((acc + end * step) >> FRACTION_BITS), revision)
+            end = min(k + left_in_tile(along + west, sign), last)
+            fresh += touch(touched, along + west, row, revision)
+            fresh += touch(
+                touched, along + west, line.aside + ((acc + end * step) >> FRACTION_BITS), revision
+            )
             base, ahead, bits, gain = (
                 column[np.uint64(along)] + (line.aside << TILE_BITS) - sign,
                 sign,
@@ -84,9 +92,9 @@ def _count_passing(
                 step,
             )
         else:
-            left = (row & ~(TILE - 1)) - line.aside
+            left = ((row + west) & ~(TILE - 1)) - west - line.aside
             _, end = steps_between(k, min(last, k + _LONGEST_PIECE), acc, step, left, left + TILE - 1)
-            fresh += touch_rows(touched, row, along, line.start + sign * end, revision)
+            fresh += touch_rows(touched, row + west, along, line.start + sign * end, revision)
             base = column[np.uint64(row)] - (at >> FRACTION_BITS) + ((along - sign) << TILE_BITS)
             ahead, bits, gain = 0, 0, step + (sign << (TILE_BITS + FRACTION_BITS))
         if kind == NO_RETURN:
@@ -178,6 +186,7 @@ def _count_hit(
     `weights` are that of a column, and of the range.
     """
     (u, v), (weight, range_weight) = point, weights
+    west = column[0] & (2 * TILE - 1)
     half, count, acc = half_columns(line)
     updates = fresh = 0
     for _ in range(count):
@@ -185,7 +194,7 @@ def _count_hit(
         if half_inside(i, j, window):
             address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
             passing[address] = _plus(passing[address], weight)
-            fresh += touch(touched, i >> 1, j >> 1, revision)
+            fresh += touch(touched, (i + west) >> 1, j >> 1, revision)
             updates += 1
         acc += line.step
         half += line.sign
@@ -210,8 +219,9 @@ def _share_hit(
 ) -> int:
     """Share a hit among the four halves around its point; returns the number of fresh tiles."""
     i, j, last = (u - 4) >> 3, (v - 4) >> 3, 2 * TILE - 1
+    west = column[0] & last
     if (
-        (i & last != last)
+        ((i + west) & last != last)
         & (j & last != last)
         & half_inside(i, j, window)
         & half_inside(i + 1, j + 1, window)
@@ -220,15 +230,25 @@ def _share_hit(
         for q in range(4):  # all in one tile
             at = address + np.uint64((q & 1) + (q >> 1) * 2 * TILE)
             hits[at] = _plus(hits[at], share_of_hit(q, u, v)[2] * weight)
-        return int(touch(touched, i >> 1, j >> 1, revision))
+        return int(touch(touched, (i + west) >> 1, j >> 1, revision))
     fresh = 0
     for q in range(4):
         i, j, share = share_of_hit(q, u, v)
         if share and half_inside(i, j, window):
             address = np.uint64(column[np.uint64(i)] + (j << (TILE_BITS + 1)))
             hits[address] = _plus(hits[address], share * weight)
-            fresh += touch(touched, i >> 1, j >> 1, revision)
+            fresh += touch(touched, (i + west) >> 1, j >> 1, revision)
     return fresh
+
+
+def strip_work(
+    ends: NDArray[np.int64],
+    weights: NDArray[np.int64],
+    window: Plain,
+    work: NDArray[np.float64],
+) -> None:
+    """Add to `work` about how many cells will be updated in each CUT columns of the window."""
+    work_of_beams(ends, SUBCELL_BITS, window, CUT, work)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -244,7 +264,7 @@ def update_planes(
     """Add a scan's beams to the planes of cells.rate, in its order, and write `revision` into their tiles.
 
     Returns the number of cell updates and of tiles that held 0 before. Only what lies in `window` changes;
-    the store of the planes and of `touched` begins in its corner. `columns` address cells and halves.
+    `columns`, which address cells and halves, begin in its corner, `touched` with the tile that holds it.
     """
     window = CellRect(*window)
     passing, carries, unanswered, near, hits = planes

@@ -24,11 +24,16 @@ from ogm_core.cells.blocks import (
 from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import Plain
+from ogm_core.sensor_models.strip_work import work_of_spans
 from ogm_core.tiles.marks import touch
 from ogm_core.tiles.store import TILE, TILE_BITS
 
 SPAN_FREE, SPAN_OCCUPIED = 1, 2
 """Classes of a span."""
+CUT = TILE
+"""Parts for threads begin at every so many-th column: blocks are updated whole."""
+CELL_WORK = 0.15
+"""How much work a cell is, most of them by blocks: one along a beam is 1."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -76,6 +81,11 @@ def touch_tiles(spans: NDArray[np.int32], window: Plain, touched: NDArray[np.int
         for tx in range(left, right + 1):
             fresh += touch(touched, tx << TILE_BITS, j, revision)
     return fresh
+
+
+def strip_work(spans: NDArray[np.int32], window: Plain, work: NDArray[np.float64]) -> None:
+    """Add to `work` about how many cells will be updated in each CUT columns of the window."""
+    work_of_spans(spans, window, CUT, work)
 
 
 def update_cells(
@@ -134,9 +144,9 @@ def update_blocks(
     constants: Plain,
 ) -> tuple[int, int]:
     """`update_cells` for planes that cells.blocks knows: a row of a tile at once."""
+    limits, masks = block_limits(constants), part_masks()  # first: for want of memory nothing has changed
     fresh = touch_tiles(spans, window, touched, revision)
     window = CellRect(*window)
-    limits, masks = block_limits(constants), part_masks()
     updates = 0
     for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)

@@ -12,11 +12,15 @@ from ogm_core.tiles.store import TILE_BITS
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def touch(touched: NDArray[np.int64], i: int, j: int, revision: int) -> int:
-    """Write `revision` into the tile of cell (i, j); return 1 if it held 0, else 0."""
+    """Write `revision` into the tile of cell (i, j); return 1 if it held 0, else 0.
+
+    Once a scan: threads that share a tile would else keep each other waiting for the memory.
+    """
     tile = np.uint64(i >> TILE_BITS), np.uint64(j >> TILE_BITS)
-    fresh = int(touched[tile] == 0)
-    touched[tile] = revision
-    return fresh
+    before = touched[tile]
+    if before != revision:
+        touched[tile] = revision
+    return int(before == 0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
