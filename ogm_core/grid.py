@@ -225,7 +225,7 @@ class OccupancyGrid:
         part = self.rect.intersection(area.rect)
         erased = erase(self._store, area, part, self.revision + 1, self._aging)
         if erased:
-            self._extent.know(written_rect(self._store))
+            self._extent.know(written_rect(self._store, self._aging))
         self.revision += 1
         self.erasures += 1
         return erased
@@ -250,6 +250,7 @@ class OccupancyGrid:
             revision=self.revision,
             stamp=self.stamp,
             erasures=self.erasures,
+            half_life=self.settings.half_life,
         )
 
     def copy_ahead(self) -> CopyAhead:

@@ -90,9 +90,9 @@ class GridSettings:
             )
         self._check_robots(name)
         if self.half_life is not None:
-            tick_length(self.half_life)
-            if not self.cell_model.forgets:
+            if not self.cell_model.ticks_a_half_life:
                 raise BadSetting(f"half_life: the cells of cell model {name} do not forget: leave it out")
+            tick_length(self.half_life, self.cell_model.ticks_a_half_life)
         rect = self.bounds_rect
         if rect is not None and rect.cells > self.max_cells:
             raise BadSetting(
@@ -137,7 +137,9 @@ class GridSettings:
     @cached_property
     def tick(self) -> int | None:
         """How long the map's time is from one tick to the next, ns; None if its cells never forget."""
-        return None if self.half_life is None else tick_length(self.half_life)
+        if self.half_life is None:
+            return None
+        return tick_length(self.half_life, self.cell_model.ticks_a_half_life)
 
     @property
     def lattice(self) -> Lattice:

@@ -39,6 +39,8 @@ class MapSnapshot:
     """Of a map that several mappers have written: what tells its states apart, as the revision does not."""
     missing: tuple[dict[str, Any], ...] = ()
     """The shares of a map that are not in it, as JSON tells them: it is of no epoch then."""
+    half_life: float | None = None
+    """In so many seconds the map forgets half of what it knows; None: it never does."""
 
     @property
     def scans(self) -> int:

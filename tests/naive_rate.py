@@ -4,6 +4,8 @@ import math
 from collections import Counter
 from fractions import Fraction
 
+import numpy as np
+
 import naive
 
 NO_RETURN, HIT, BEYOND = "no return", "hit", "beyond"
@@ -159,3 +161,23 @@ def cautious(p, cell, passing, hits):
     """Rule 5: what only its neighbours speak for is at most 0.65, unless three of them do."""
     counted = [near for near in square(*cell, 1) if passing[near] or hits[near]]
     return 0.65 if p > 0.65 and cell not in counted and len(counted) < 3 else p
+
+
+def dense(plane, rect, side=1):
+    """Counts of a plane as an array over a rectangle of cells, which holds all that are not 0."""
+    found = np.zeros((rect.height * side, rect.width * side), np.int64)
+    for (i, j), count in plane.items():
+        x, y = i - rect.ix * side, j - rect.iy * side
+        if count:
+            assert min(x, y) >= 0
+            found[y, x] = count
+    return found
+
+
+def assert_planes(grid, twin):
+    """Every number of a grid is that of its twin."""
+    planes = grid.snapshot().stored.planes()
+    assert np.array_equal(planes["N"] + (planes["C"].astype(np.int64) << 16), dense(twin.N, grid.rect))
+    assert np.array_equal(planes["F"], dense(twin.F, grid.rect))
+    assert np.array_equal(planes["E"], dense(twin.E, grid.rect, 2))
+    assert np.array_equal(planes["H"], dense(twin.H, grid.rect, 2))

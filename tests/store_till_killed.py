@@ -1,4 +1,4 @@
-"""`python store_till_killed.py DIR [HALF_LIFE]`: goes on with the map that is stored there.
+"""`python store_till_killed.py DIR MODEL [HALF_LIFE]`: goes on with the map that is stored there.
 
 There is a commit after every scan.
 
@@ -8,11 +8,14 @@ Prints the fingerprint and the revision of each state before ("trying") and afte
 import sys
 from pathlib import Path
 
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_services.mapper.storage.map_store import MapStore
 from stored_maps import Story, grid_of
 
 with MapStore(Path(sys.argv[1])) as store:
-    grid = grid_of(half_life=float(sys.argv[2]) if len(sys.argv) > 2 else None)
+    model = {"log_odds": LogOdds(), "rate": Rate()}[sys.argv[2]]
+    grid = grid_of(model, half_life=float(sys.argv[3]) if len(sys.argv) > 3 else None)
     before = store.restore(grid.settings)
     story = Story(store, grid) if before is None else Story.going_on(store, before)
     while True:

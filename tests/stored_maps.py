@@ -8,12 +8,13 @@ import pytest
 
 from counts_model import Counts, scans
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 
 RUN = "run1"
 MODELS = pytest.mark.parametrize(
-    "model", [LogOdds(), LogOdds("float64"), Counts()], ids=["int16", "float64", "counts"]
+    "model", [LogOdds(), LogOdds("float64"), Counts(), Rate()], ids=["int16", "float64", "counts", "rate"]
 )
 """Every cell model and type that a map may have."""
 

@@ -1,8 +1,9 @@
-"""Forgetting: with the time of a map the log odds of its cells go back to the prior, half way in a half-life.
+"""Forgetting: with the time of a map its cells lose half of what they know in a half-life.
 
 Time passes with scans alone: T = max(T, min(stamp, T + 1 s)) at each that is integrated, so that no clock
-that jumps ages a map at once. A tick passes whenever T comes to another quarter of a half-life, counted from
-the Unix epoch; at a tick what a cell keeps beside the prior is multiplied by 2^(-1/4).
+that jumps ages a map at once. A cell model says how many ticks there are in a half-life; one passes whenever
+T comes to another of these parts, counted from the Unix epoch. Log odds have four, at each of which what a
+cell keeps beside the prior is multiplied by 2^(-1/4). Counts have one, which halves them (see rate_sums).
 """
 
 import math
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 
 from ogm_core.errors import BadSetting
 
-TICKS_A_HALF_LIFE = 4
-TICK_FACTOR = 2.0 ** (-1 / TICKS_A_HALF_LIFE)
-"""What a tick leaves."""
+TICKS_OF_LOG_ODDS = 4
+TICK_FACTOR = 2.0 ** (-1 / TICKS_OF_LOG_ODDS)
+"""What a tick leaves of log odds."""
 MOST_TICKS = 56
-"""After so many ticks 16383 steps, the most that a cell is away from the prior, are less than one: 2^-14."""
+"""After so many ticks 16383 steps, the most that a cell is away from the prior, are less than one: 2^-14.
+
+Counts of 32 bits are 0 after 32."""
 MIN_HALF_LIFE = 1.0
 """The shortest half-life, s: a scan moves the time of a map by that at most."""
 MAX_HALF_LIFE = 1e9
@@ -27,15 +30,15 @@ LONGEST_STEP = 1_000_000_000
 """By so much a scan moves the time of a map at most, ns."""
 
 
-def tick_length(half_life: float) -> int:
-    """How long a quarter of a half-life (s) is, ns.
+def tick_length(half_life: float, ticks: int) -> int:
+    """How long one of so many ticks in a half-life (s) is, ns.
 
     Raises:
         BadSetting: no map can have that half-life.
     """
     if not MIN_HALF_LIFE <= half_life <= MAX_HALF_LIFE:
         raise BadSetting(f"half_life: {MIN_HALF_LIFE:g} to {MAX_HALF_LIFE:g} s are needed, got {half_life:g}")
-    return round(half_life * 1e9 / TICKS_A_HALF_LIFE)
+    return round(half_life * 1e9 / ticks)
 
 
 class MapTime(NamedTuple):

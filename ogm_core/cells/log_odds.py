@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import OCCUPIED, trinary
-from ogm_core.cells.forgetting import decay_table, decayed_log_odds
+from ogm_core.cells.forgetting import TICKS_OF_LOG_ODDS, decay_table, decayed_log_odds
 from ogm_core.cells.model import (
     P_EDGE,
     CellEvidence,
@@ -80,7 +80,7 @@ class LogOdds(CellModel):
             stored as int16, or `free_below` is not below what is occupied.
     """
 
-    forgets = True
+    ticks_a_half_life = TICKS_OF_LOG_ODDS
 
     cells: CellType = "int16"
     p_prior: float = 0.5
@@ -214,7 +214,7 @@ class LogOdds(CellModel):
         return encoded
 
     def decayed(self, planes: Planes, ticks: int) -> Planes:
-        """Cells after some ticks, each of which brings them nearer to the prior; everywhere the same."""
+        """Cells after some ticks, each of which brings them nearer to the prior; known ones stay known."""
         cells = planes[PLANE]
         if cells.dtype != np.float64:
             return {PLANE: np.take(decay_table(ticks), cells.view(np.uint16), mode="clip")}

@@ -114,8 +114,8 @@ class CellModel(ABC):
     """On how many cells around a cell its probability depends, up to MAX_MARGIN."""
     free_below: float = FREE_BELOW
     """Which probabilities mean "free": it changes what the map shows, never what it keeps."""
-    forgets: bool = False
-    """Whether it has `decayed`: what a map with a half-life needs."""
+    ticks_a_half_life: int = 0
+    """How many ticks (see cells.forgetting) it has in a half-life; 0: no `decayed`, it never forgets."""
     adds_up: bool = False
     """Whether it has `add`: what a map that keeps its robots apart needs."""
 
@@ -167,7 +167,7 @@ class CellModel(ABC):
         """
 
     def decayed(self, planes: Planes, ticks: int) -> Planes:
-        """Stored cells, of whatever shape, after some ticks (see cells.forgetting); known ones stay known."""
+        """Stored cells, of whatever shape, after some ticks (see cells.forgetting)."""
         raise NotImplementedError(f"{type(self).__name__} cells do not forget, not even by {ticks} ticks")
 
     def add(self, sums: Mapping[str, StoredCells], planes: Planes) -> None:

@@ -50,7 +50,7 @@ from ogm_core.cells.rate_publishing import (
     Unanswered,
     publish,
 )
-from ogm_core.cells.rate_sums import add_counts
+from ogm_core.cells.rate_sums import add_counts, halved_counts
 from ogm_core.cells.thresholds import FREE_BELOW, OCCUPIED_ABOVE, check_free_below
 
 PLANES = (
@@ -133,6 +133,7 @@ class Rate(_Counted):
     finest = 2
     adds_up = True
     planes = PLANES
+    ticks_a_half_life = 1
 
     @property
     def described(self) -> dict[str, str | float]:
@@ -148,6 +149,10 @@ class Rate(_Counted):
     def add(self, sums: Mapping[str, NDArray[Any]], planes: Planes) -> None:
         """Add counts to others, in place."""
         add_counts(sums, planes)
+
+    def decayed(self, planes: Planes, ticks: int) -> Planes:
+        """Counts after some ticks, each of which halves them; what nothing is left of is unknown again."""
+        return halved_counts(planes, ticks)
 
     def handed_over(self, planes: Planes) -> tuple[Counts, Counts, Unanswered]:
         """The counts of the cells: of all that lies in them."""

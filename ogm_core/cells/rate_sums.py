@@ -1,6 +1,7 @@
 """Sums of counts: the planes of two maps of one lattice, added, as if one map had taken all of their beams.
 
 Sums stop at the largest number that a plane can hold, of N and C together, so that their order never matters.
+Halves of counts are what a map that forgets keeps of them.
 """
 
 from collections.abc import Mapping
@@ -25,6 +26,16 @@ def add_counts(sums: Mapping[str, NDArray[Any]], planes: Planes) -> None:
     _add(passing, _joined(planes))
     sums["N"][...] = passing & _LOW
     sums["C"][...] = passing >> _CARRY
+
+
+def halved_counts(planes: Planes, times: int) -> dict[str, NDArray[Any]]:
+    """The planes of some cells, every count halved so many times; half a count is lost."""
+    left: dict[str, NDArray[Any]] = {name: planes[name] >> times for name in _ALONE}
+    passing = _joined(planes) >> np.uint32(times)
+    return left | {
+        "N": (passing & _LOW).astype(np.uint16),
+        "C": (passing >> _CARRY).astype(np.uint16),
+    }
 
 
 def _joined(planes: Planes) -> NDArray[np.uint32]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ogm_core.cells.model import Plane
 from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadInput, BadMapFile
-from ogm_core.files.map_files import check_place, read_free_below
+from ogm_core.files.map_files import HALF_LIFE, check_place, read_free_below
 from ogm_core.files.npz_arrays import UNREADABLE, NpzArrays
 
 PER_CELL = "per_cell"
@@ -30,6 +30,8 @@ class CountedMap:
     anchor: tuple[float, float]
     offset: tuple[int, int]
     free_below: float = FREE_BELOW
+    forgets: bool = False
+    """Whether the map halved its counts as time went on: they are no longer sums over its scans."""
 
 
 def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> CountedMap | None:
@@ -45,6 +47,7 @@ def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> Counte
             place, side = check_place(arrays, str(path)), _per_cell(arrays, str(path))
             free_below = read_free_below(arrays, str(path))
             planes = _planes(arrays, list(kinds), str(path), max_bytes)
+            forgets = HALF_LIFE in arrays
     except OSError as error:
         raise BadMapFile(f"{path}: cannot be read: {error.strerror or error}") from error
     except BadInput as error:
@@ -54,7 +57,7 @@ def load_counts(path: Path, kinds: Iterable[Plane], *, max_bytes: int) -> Counte
             f"{path}: not a map that was saved here and can be read ({str(error)[:400]})"
         ) from error
     ix, iy = (value // side for value in place.offset)
-    return CountedMap(planes, place.resolution * side, place.anchor, (ix, iy), free_below)
+    return CountedMap(planes, place.resolution * side, place.anchor, (ix, iy), free_below, forgets)
 
 
 def _per_cell(arrays: NpzArrays, name: str) -> int:

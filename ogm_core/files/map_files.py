@@ -25,6 +25,7 @@ from ogm_core.pictures.png import write_png
 from ogm_core.snapshot import MapSnapshot
 
 FRAME = "map"
+HALF_LIFE = "half_life"
 DEFAULT_PALETTE = "ros"
 _FREE_BELOW = "free_below"
 PALETTES: dict[str, Encoder] = {DEFAULT_PALETTE: ros_grey, "probability": probability_grey}
@@ -115,13 +116,15 @@ def encode_npz(snap: MapSnapshot) -> bytes:
     And `free_below` of a map that has one of its own.
 
     What is there of the cells, [iy, ix], row 0 south, is the cell model's `arrays`: of log odds, `log_odds`,
-    NaN where unknown, float64 of float64 cells, else float32.
+    NaN where unknown, float64 of float64 cells, else float32. Of a map that forgets also `half_life`, s.
     """
+    forgets = {} if snap.half_life is None else {HALF_LIFE: np.array(float(snap.half_life))}
     return pack(
         {
             **snap.model.arrays(snap.stored),
             **place_arrays(snap),
             **own_free_below(snap.model.free_below),
+            **forgets,
         }
     )
 

@@ -29,8 +29,8 @@ def merge_maps(paths: Sequence[Path], *, max_cells: int = DEFAULT_MAX_CELLS) -> 
     It covers the smallest rectangle that holds them all, and its `free_below` is the smallest of theirs.
 
     Raises:
-        BadMapFile: one cannot be read, keeps no counts, or is not of the first one's lattice; or together
-            they cover more than `max_cells`, as no map may.
+        BadMapFile: one cannot be read, keeps no counts or has forgotten some, or is not of the first one's
+            lattice; or together they cover more than `max_cells`, as no map may.
     """
     sums, free_below = None, OCCUPIED_ABOVE
     for path in paths:
@@ -55,6 +55,11 @@ def _counts(path: Path, max_cells: int) -> CountedMap:
         raise BadMapFile(
             f"{path}: it keeps no counts, and log odds do not add up, as each was clamped on its way: build "
             "the maps to merge with --cell-model rate"
+        )
+    if found.forgets:
+        raise BadMapFile(
+            f"{path}: its counts were halved with every half-life that passed, so they are no sums over its "
+            "scans, and do not add up: build the maps to merge without --half-life"
         )
     return found
 

@@ -48,13 +48,16 @@ class Aging:
                 for name, cells in planes.items():
                     cells[which] = aged[name]
 
-    def age(self, store: TileStore, tx: NDArray[np.intp], ty: NDArray[np.intp]) -> None:
-        """Let these tiles of a store age in place."""
+    def age(self, store: TileStore, tx: NDArray[np.intp], ty: NDArray[np.intp], revision: int) -> None:
+        """Let these tiles of a store age in place, while it comes to `revision`."""
         places = [(name, plane.tiles(store.touched.shape)) for name, plane in store.planes.items()]
         tiles = {name: place[tx, ty] for name, place in places}
         self.apply(tiles, store.revisions[tx, ty])
         for name, place in places:
             place[tx, ty] = tiles[name]
+        if store.aged is None:
+            store.aged = np.zeros_like(store.touched)
+        store.aged[tx, ty] = revision
 
     def before_writing(self, store: TileStore, rect: CellRect, revision: int) -> None:
         """Let tiles that meet `rect`, in which a scan is about to write as `revision`, age.
@@ -71,11 +74,8 @@ class Aging:
         if store.aged is not None:
             old &= store.aged[here] < self.last
         if old.any():
-            if store.aged is None:
-                store.aged = np.zeros_like(store.touched)
             tx, ty = np.nonzero(old)
-            self.age(store, tx + left, ty + bottom)
-            store.aged[here][old] = revision
+            self.age(store, tx + left, ty + bottom, revision)
         corner = store.rect.ix + left * TILE, store.rect.iy + bottom * TILE
         store.current = self.last, CellRect(*corner, width * TILE, height * TILE)
 

@@ -1,18 +1,21 @@
 """Erasing: cells of a tile store become unknown again, and where known cells are left is found anew."""
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.polygon import Polygon
-from ogm_core.tiles.store import TILE, StoredPlane, TileStore
+from ogm_core.tiles.store import TILE, TileStore
 
 
 def erase(store: TileStore, area: Polygon, part: CellRect, revision: int, aging: Aging | None = None) -> int:
     """Make the cells of `area` in `part`, a rectangle, unknown; return how many were not.
 
-    Tiles in which one was age, and are marked with `revision`; others stay as they are.
+    Tiles of the area age; those in which one was known are marked with `revision`.
     """
     part = part.intersection(store.rect).intersection(area.rect)
     if not part.cells:
@@ -32,24 +35,28 @@ def erase(store: TileStore, area: Polygon, part: CellRect, revision: int, aging:
                 slice(left - tx * TILE, right - tx * TILE),
             )
             wanted[rows, columns] = band[:, left - west : right - west]
+            if aging is not None:
+                aging.age(store, np.array([tx]), np.array([ty]), revision)
             count = _erase_in_tile(store, (tx, ty), wanted)
             if count:
-                if aging is not None:
-                    aging.age(store, np.array([tx]), np.array([ty]))
                 store.touched[tx, ty] = revision
                 erased += count
     return erased
 
 
-def written_rect(store: TileStore) -> CellRect | None:
-    """The smallest rectangle of the lattice that holds every cell that was written; None if none was."""
+def written_rect(store: TileStore, aging: Aging | None = None) -> CellRect | None:
+    """The smallest rectangle of the lattice with every cell that holds something; None if none does.
+
+    What tiles would hold that have missed ticks, which stay as they are.
+    """
     first, last = [], []
     for axis in (0, 1):
         lines = np.flatnonzero(store.touched.any(axis=1 - axis)).tolist()
-        low = next((cells for line in lines if (cells := _written_along(store, axis, line)).size), None)
+        along = partial(_written_along, store, axis, aging=aging)
+        low = next((cells for line in lines if (cells := along(line)).size), None)
         if low is None:
             return None
-        high = next(cells for line in reversed(lines) if (cells := _written_along(store, axis, line)).size)
+        high = next(cells for line in reversed(lines) if (cells := along(line)).size)
         first.append(int(low[0]))
         last.append(int(high[-1]))
     width, height = (end - begin + 1 for begin, end in zip(first, last, strict=True))
@@ -60,7 +67,9 @@ def _erase_in_tile(store: TileStore, tile: tuple[int, int], wanted: NDArray[np.b
     written = np.zeros_like(wanted)
     found = []
     for plane in store.planes.values():
-        cells = _numbers(plane, store)[tile].reshape(TILE, plane.side, TILE, plane.side)
+        cells = _as_integers(plane.tiles(store.touched.shape))[tile].reshape(
+            TILE, plane.side, TILE, plane.side
+        )
         found.append(cells)
         written |= (cells != 0).any(axis=(1, 3))
     gone = written & wanted
@@ -69,19 +78,21 @@ def _erase_in_tile(store: TileStore, tile: tuple[int, int], wanted: NDArray[np.b
     return int(np.count_nonzero(gone))
 
 
-def _written_along(store: TileStore, axis: int, line: int) -> NDArray[np.intp]:
+def _written_along(store: TileStore, axis: int, line: int, aging: Aging | None) -> NDArray[np.intp]:
     """In a column of tiles (axis 0) the columns with a written cell, in a row of tiles (axis 1) the rows."""
     others = np.flatnonzero(store.touched.take(line, axis=axis))
+    where = (np.full_like(others, line), others)[:: 1 if axis == 0 else -1]
+    copied = {name: plane.tiles(store.touched.shape)[where] for name, plane in store.planes.items()}
+    if aging is not None:
+        aging.apply(copied, store.revisions[where])
     found = np.zeros(TILE, np.bool_)
-    for plane in store.planes.values():
-        numbers = _numbers(plane, store)
-        tiles = (numbers[line, others] if axis == 0 else numbers[others, line]) != 0
+    for name, plane in store.planes.items():
+        tiles = _as_integers(copied[name]) != 0
         cells = tiles.reshape(len(others), TILE, plane.side, TILE, plane.side)
         found |= cells.any(axis=(0, 1, 2, 4) if axis == 0 else (0, 2, 3, 4))
     return np.flatnonzero(found) + line * TILE
 
 
-def _numbers(plane: StoredPlane, store: TileStore) -> NDArray[np.signedinteger]:
-    """A plane's cells, tile by tile, as integers: a known zero of float64 cells is stored as -0.0."""
-    tiles = plane.tiles(store.touched.shape)
+def _as_integers(tiles: NDArray[Any]) -> NDArray[np.signedinteger]:
+    """Cells by their bits: a known zero of float64 cells is stored as -0.0."""
     return tiles.view(np.dtype(f"i{tiles.itemsize}"))

@@ -125,7 +125,7 @@ def life(model, rng, half_life):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_copy_is_the_map_at_every_revision_whatever_becomes_of_messages(model, half_life, seed):
     """Messages that are lost, repeated, and late; after a gap the copy asks, as a follower does."""
-    if half_life is not None and not model.forgets:
+    if half_life is not None and not model.ticks_a_half_life:
         pytest.skip("this model does not forget")
     rng = np.random.default_rng(seed)
     copy, sent, seen, gaps, resets = MapCopy(MUCH), None, [], 0, 0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core.cells.forgetting import MapTime, tick_length
+from ogm_core.cells.forgetting import TICKS_OF_LOG_ODDS, MapTime, tick_length
 from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.hints import Hints
 from ogm_core.types import IDENTITY, Scan
@@ -121,7 +121,7 @@ class MapOfTime:
     """The time of a map that forgets: a scan of this stamp is in it."""
 
     def __init__(self, half_life=600.0):
-        self.tick = tick_length(half_life)
+        self.tick = tick_length(half_life, TICKS_OF_LOG_ODDS)
         self.now = MapTime()
         self.hints = Hints(clocks=ClockHints(lambda: self.now.time, self.tick))
         self.told = []

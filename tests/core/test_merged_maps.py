@@ -139,3 +139,10 @@ def test_maps_that_lie_too_far_apart_are_refused(tmp_path):
     merge_maps(paths, max_cells=cells)
     with pytest.raises(BadMapFile, match=rf"1.npz: with it .* and {cells - 1} cells are the most"):
         merge_maps(paths, max_cells=cells - 1)
+
+
+def test_maps_that_have_forgotten_some_are_refused(tmp_path):
+    scans = random_scans(1)
+    paths = saved(tmp_path, [grid_of(scans), grid_of(scans, half_life=60.0)])
+    with pytest.raises(BadMapFile, match=r"1.npz: its counts were halved .*without --half-life$"):
+        merge_maps(paths)

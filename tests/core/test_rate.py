@@ -8,6 +8,7 @@ import pytest
 from numba import njit
 
 import naive_rate
+from naive_rate import assert_planes
 from ogm_core.cells import rate_kernel, rate_publishing
 from ogm_core.cells.rate import Rate
 from ogm_core.cells.rate_publishing import OF_CELLS, OF_HALVES
@@ -58,24 +59,6 @@ def mapped(settings, placed):
             continue
         twin.integrate(scan, pose)
     return grid, twin, updates
-
-
-def dense(plane, rect, side=1):
-    found = np.zeros((rect.height * side, rect.width * side), np.int64)
-    for (i, j), count in plane.items():
-        x, y = i - rect.ix * side, j - rect.iy * side
-        if count:
-            assert min(x, y) >= 0
-            found[y, x] = count
-    return found
-
-
-def assert_planes(grid, twin):
-    planes = grid.snapshot().stored.planes()
-    assert np.array_equal(planes["N"] + (planes["C"].astype(np.int64) << 16), dense(twin.N, grid.rect))
-    assert np.array_equal(planes["F"], dense(twin.F, grid.rect))
-    assert np.array_equal(planes["E"], dense(twin.E, grid.rect, 2))
-    assert np.array_equal(planes["H"], dense(twin.H, grid.rect, 2))
 
 
 @EVERYWHERE
@@ -363,7 +346,3 @@ def test_bytes_count_all_planes():
 def test_what_it_does_not_take_is_refused_by_name():
     with pytest.raises(BadSetting, match=r"^sensor_model: cell model Rate takes beam, not sector$"):
         settings_with(sensor_model="sector")
-    with pytest.raises(
-        BadSetting, match=r"^half_life: the cells of cell model Rate do not forget: leave it out$"
-    ):
-        settings_with(half_life=60.0)

@@ -9,6 +9,7 @@ import pytest
 import naive
 from counts_model import Counts
 from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.cells.value_bytes import value_byte
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -194,7 +195,8 @@ class TestRevisions:
     """The tag of a square: where it is the same the pixels are, and it changes only where something did."""
 
     @pytest.mark.parametrize(
-        ("model", "half_life"), [*((model, None) for model in MODELS), (LogOdds(), 12.0)]
+        ("model", "half_life"),
+        [*((model, None) for model in MODELS), (LogOdds(), 12.0), (Rate(), None), (Rate(), 3.0)],
     )
     def test_equal_revisions_are_equal_pixels(self, model, half_life):
         """Of a map that forgets a tick, every three scans here, is another revision of all tiles."""

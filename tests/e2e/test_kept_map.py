@@ -45,7 +45,11 @@ def stored(mapper, revision):
     return f'ogm_stored_revision{{map="default"}} {revision}.0' in metrics
 
 
-@pytest.mark.parametrize("flags", [(), ("--half-life", "1")], ids=["", "forgetting"])
+@pytest.mark.parametrize(
+    "flags",
+    [(), ("--half-life", "1"), ("--cell-model", "rate", "--half-life", "1")],
+    ids=["", "forgetting", "counting, forgetting"],
+)
 def test_after_a_kill_the_map_goes_on_where_it_was_stored_and_after_a_stop_where_it_ended(
     ogm, eventually, data, flags
 ):

@@ -47,6 +47,11 @@ def lab_counting_log(lab_recording):
 
 
 @pytest.fixture
+def lab_halving_log(lab_recording):
+    return Log(lab_recording, 220, map_flags=("--cell-model", "rate", "--half-life", "2"))
+
+
+@pytest.fixture
 def rough_log(tmp_path):
     path = tmp_path / "rough.jsonl"
     return Log(path, *write_rough_log(path))
@@ -71,7 +76,10 @@ def replayed(command, log, mapper, *flags):
 
 @pytest.mark.parametrize(
     "name",
-    ["lab_log", "lab_preset_log", "lab_forgetting_log", "lab_counting_log", "rough_log", "intel_log"],
+    [
+        *("lab_log", "lab_preset_log", "lab_forgetting_log", "lab_counting_log", "lab_halving_log"),
+        *("rough_log", "intel_log"),
+    ],
 )
 def test_replayed_and_built_maps_are_equal(ogm, assert_equal_maps, request, name):
     log = request.getfixturevalue(name)

@@ -8,6 +8,7 @@ import pytest
 
 from counts_model import scans
 from ogm_core.cells.log_odds import PLANE, LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.tiles.copies import CopyAhead
 from ogm_services.mapper.live import live_map as live_map_module
 from ogm_services.mapper.live.live_map import LiveMap
@@ -17,12 +18,20 @@ from ogm_services.mapper.storage.map_store import MapStore
 from ogm_services.mapper.storage.repair import repair
 from stored_maps import Story, fingerprint, grid_of, in_time, restored, saved
 
-CELLS = pytest.mark.parametrize("cells", ["int16", "float64"])
+CELLS = pytest.mark.parametrize("cells", ["int16", "float64", "rate"])
 HALF_LIFE = 6.0
 
 
 def forgetting(cells="int16", **changes):
-    return grid_of(LogOdds(cells), resolution=0.1, half_life=HALF_LIFE, **changes)
+    """A map with 30 scans, a second apart, in five half-lives of log odds, or 15 of counts."""
+    counts = cells == "rate"
+    model, half_life = (Rate(), HALF_LIFE / 3) if counts else (LogOdds(cells), HALF_LIFE)
+    return grid_of(model, resolution=0.1, half_life=half_life, **changes)
+
+
+def read_whole(snapshot):
+    """Where its cells lie, and every number of them."""
+    return snapshot.offset, *(plane.tobytes() for plane in snapshot.stored.planes().values())
 
 
 def without_interruption(count, cells="int16"):
@@ -124,7 +133,7 @@ def test_readers_and_the_store_get_whole_maps_while_it_is_written(
     for _ in range(60):
         twin.integrate()
         snapshot = twin.grid.snapshot()
-        served[twin.grid.revision] = snapshot.offset, snapshot.cells.tobytes()
+        served[twin.grid.revision] = read_whole(snapshot)
         states[twin.grid.revision] = fingerprint(twin.grid)
     live, seen, wrong, done = LiveMap(forgetting(cells)), set(), [], threading.Event()
     grid, writer = live._grid, threading.current_thread()
@@ -140,7 +149,7 @@ def test_readers_and_the_store_get_whole_maps_while_it_is_written(
             snapshot = live.snapshot()
             if snapshot.revision:
                 seen.add(snapshot.revision)
-                if (snapshot.offset, snapshot.cells.tobytes()) != served[snapshot.revision]:
+                if read_whole(snapshot) != served[snapshot.revision]:
                     wrong.append(snapshot.revision)
 
     checkpoints = Checkpoints(live, grid.settings, "run1", lambda: dict)

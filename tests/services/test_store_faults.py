@@ -18,6 +18,8 @@ from pathlib import Path
 import pytest
 
 from full_disk import room_for
+from ogm_core.cells.log_odds import LogOdds
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import DiskFull
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.map_saver import MapSaver, Taken
@@ -235,13 +237,14 @@ def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventu
 
 
 @pytest.mark.parametrize("half_life", [None, 6.0])
-def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, half_life):
+@pytest.mark.parametrize("model", [LogOdds(), Rate()], ids=["log_odds", "rate"])
+def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, model, half_life):
     """Three kills at moments of their own, each in the middle of commits; the next process goes on."""
     code = (TESTS / "store_till_killed.py").as_posix()
-    revision, states = 0, {}
+    name, revision, states = "rate" if isinstance(model, Rate) else "log_odds", 0, {}
     for k in range(3):
         with subprocess.Popen(
-            [sys.executable, code, tmp_path / "map", *(() if half_life is None else [str(half_life)])],
+            [sys.executable, code, tmp_path / "map", name, *(() if half_life is None else [str(half_life)])],
             stdout=subprocess.PIPE,
             text=True,
         ) as process:
@@ -257,7 +260,7 @@ def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, half
             if len(said) == 3:
                 states[said[1]] = int(said[2])
                 committed = max(committed, int(said[2]) if said[0] == "stored" else 0)
-        grid = grid_of(half_life=half_life)
+        grid = grid_of(model, half_life=half_life)
         with MapStore(tmp_path / "map") as store:
             found = store.restore(grid.settings)
         revision = found.state.map.revision
