@@ -61,6 +61,10 @@ class GridSettings:
 
     def __post_init__(self) -> None:
         if self.share is not None:
+            if self.separate_robots:
+                raise BadSetting(
+                    "mapper.separate_robots: a map that is cut does not keep robots apart: leave it out"
+                )
             object.__setattr__(self, "clip", self.share.clip(self.lattice))
         if not (math.isfinite(self.alpha) and self.alpha >= 0.0):
             raise BadSetting(f"alpha: 0 m or more is needed, got {self.alpha:g}")

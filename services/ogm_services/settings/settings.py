@@ -219,6 +219,7 @@ class Settings(BaseModel):
                 "map.reach: a map that is cut (shares.cuts_x, shares.cuts_y) needs one, so that it is known "
                 "how far scans reach into other shares: give --reach"
             )
+        self.mapper_grid_settings()
 
     def grid_settings(self) -> GridSettings:
         """What the map is made of."""
