@@ -1,8 +1,8 @@
 """`python -m tests.soak`: the long versions of what the tests hold, and the tables of docs/guarantees.md.
 
-Seven parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (made-up
+Eight parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (made-up
 requests, by the description of the routes), `stores` (stored maps that are damaged), `overload`, `missed`
-(mappers and routers that are killed) and `recorded` (recorders that are). Tables are kept of what ran at full
+(mappers and routers that are killed), `shares` (those of shares of a map) and `recorded` (recorders that are). Tables are kept of what ran at full
 length: ten minutes, 10,000 examples, and 300 damaged stores.
 """
 

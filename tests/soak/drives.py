@@ -62,6 +62,13 @@ def messages(robot: int, count: int, run: str, rate: float) -> Iterator[PoseStam
 
 def mapped(drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: dict[str, object]) -> NpzMap:
     """The map of messages, by robot, in this order."""
+    return read_npz(encode_npz(mapped_grid(drives, flags).snapshot()))
+
+
+def mapped_grid(
+    drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: dict[str, object]
+) -> OccupancyGrid:
+    """The same, not yet encoded."""
     settings = Settings.model_validate({"map": flags})
     grid = OccupancyGrid(settings.grid_settings(), "again")
     placer = ScanPlacer(grid, Receipts(), lambda *_: None, settings.placing_rules())
@@ -71,10 +78,15 @@ def mapped(drives: Iterable[tuple[int, Iterable[PoseStamped | Scan]]], flags: di
                 placer.add_scan(f"robot{robot}", SENSOR, message)
             else:
                 placer.add_pose(f"robot{robot}", message)
-    return read_npz(encode_npz(grid.snapshot()))
+    return grid
 
 
 def uninterrupted(sent: dict[int, list[int]], rate: float, flags: dict[str, object]) -> NpzMap:
     """The map of so many scans of each robot, run by run, as it is if nothing ever goes wrong."""
+    return read_npz(encode_npz(uninterrupted_grid(sent, rate, flags).snapshot()))
+
+
+def uninterrupted_grid(sent: dict[int, list[int]], rate: float, flags: dict[str, object]) -> OccupancyGrid:
+    """The same, not yet encoded."""
     runs = ((robot, run, count) for robot, counts in sent.items() for run, count in enumerate(counts))
-    return mapped(((robot, messages(robot, count, f"run{run}", rate)) for robot, run, count in runs), flags)
+    return mapped_grid(((robot, messages(robot, count, f"run{run}", rate)) for robot, run, count in runs), flags)

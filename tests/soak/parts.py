@@ -16,6 +16,7 @@ from tests.soak.http_schema import requests_made_up
 from tests.soak.missed import Happens, Outcome, scenes
 from tests.soak.overload import HONEST, HONEST_RATE, Report, overloaded
 from tests.soak.recorded import recorders_killed
+from tests.soak.shares import fleets
 
 FULL = 600.0
 """How long each load is at full length, s."""
@@ -90,14 +91,25 @@ def missed(seconds: float) -> Part:
 
     Two of these at a time: the first one takes as long as all others.
     """
+    table, wrong = _happened(scenes(max(1, round(20 * seconds / FULL))), at_once=2, wrong="wrong cells")
+    return Part({"missed": table}, wrong)
+
+
+def shares(seconds: float) -> Part:
+    """Shares of a map, their router and robots that are killed and frozen, one after the other."""
+    table, wrong = _happened(fleets(max(1, round(20 * seconds / FULL))), at_once=1, wrong="wrong tiles")
+    return Part({"shares": table}, wrong)
+
+
+def _happened(happening: dict[str, Happens], *, at_once: int, wrong: str) -> tuple[str, list[str]]:
+    """Let all of it happen: a table, and what was wrong; `wrong` is what the last column counts."""
     heads = ["what happened", "scans sent", "meanwhile", "integrated", "dropped", "lost", "came again"]
-    rows, wrong = [[*heads, "wrong cells"]], []
-    happening = scenes(max(1, round(20 * seconds / FULL)))
-    with ThreadPoolExecutor(2) as pool:
+    rows, failures = [[*heads, wrong]], []
+    with ThreadPoolExecutor(at_once) as pool:
         outcomes = {what: pool.submit(_outcome, what, happens) for what, happens in happening.items()}
     for what, outcome in outcomes.items():
         if (error := outcome.exception()) is not None:
-            wrong.append(f"{what}: {error!r}")
+            failures.append(f"{what}: {error!r}")
             continue
         found = outcome.result()
         dropped = ", ".join(f"{count:,} {reason}" for reason, count in found.dropped.items())
@@ -105,8 +117,8 @@ def missed(seconds: float) -> Part:
         counts = f"{found.lost:,}", f"{found.replayed:,}", f"{found.wrong_cells:,}"
         rows.append([what, f"{found.sent:,}", away, f"{found.integrated:,}", dropped or "0", *counts])
         if not found.right:
-            wrong.append(f"{what}: {found}")
-    return Part({"missed": markdown(rows)}, wrong)
+            failures.append(f"{what}: {found}")
+    return markdown(rows), failures
 
 
 def recorded(seconds: float) -> Part:
@@ -166,5 +178,6 @@ PARTS: dict[str, Callable[[float], Part]] = {
     "stores": stores,
     "overload": overload,
     "missed": missed,
+    "shares": shares,
     "recorded": recorded,
 }

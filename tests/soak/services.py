@@ -79,11 +79,12 @@ class Service:
 
 
 class Mapper(Service):
-    """`ogm mapper --data`, and what its lives have counted, as they told last."""
+    """`ogm mapper --data`, and what its lives have counted, as they told last; with `share` that of a share."""
 
     def __init__(self, endpoint: str, folder: Path, how: str, flags: dict[str, object]) -> None:
+        self._served_at = "status   " if "share" in flags else "live map "
         settings = (f"--{name.replace('_', '-')}={value}" for name, value in flags.items())
-        listens = ("--listen", "tcp/127.0.0.1:0") if how == "connect" else ()
+        listens = ("--listen", "tcp/127.0.0.1:0") if how == "connect" and "share" not in flags else ()
         super().__init__(
             "ogm_services", "mapper", f"--{how}", endpoint, *listens, "--data", folder, *FLAGS, *settings
         )
@@ -103,7 +104,7 @@ class Mapper(Service):
     def wait_until_ready(self) -> None:
         """Return once it serves."""
         assert self.process is not None
-        self._url = line_after(self.process, "live map ")
+        self._url = line_after(self.process, self._served_at)
         self.runs.add(self.status()["run"])
 
     def status(self) -> dict[str, Any]:
@@ -123,13 +124,14 @@ class Mapper(Service):
 
     def arrived(self) -> dict[int, int]:
         """Scans of each robot's present run that have come, once no more do: none of them may be alive."""
-        arrived, looked = self._arrived(), {}
+        arrived, looked = self.has_heard(), {}
         while arrived != looked:
             time.sleep(2.0)  # longer than a robot is held whose caches are gone
-            arrived, looked = self._arrived(), arrived
+            arrived, looked = self.has_heard(), arrived
         return arrived
 
-    def _arrived(self) -> dict[int, int]:
+    def has_heard(self) -> dict[int, int]:
+        """Scans of each robot's present run that have come so far."""
         robots = self.status()["robots"]
         return {int(name[5:]): robot["sources"][SENSOR]["last_seq"] + 1 for name, robot in robots.items()}
 

@@ -1,0 +1,35 @@
+"""Four shares of a map hold what one mapper would, each scan once, whatever is killed or frozen.
+
+Each of these is longer, with more kills, in `make soak ARGS=shares`.
+"""
+
+from tests.soak.shares import (
+    AT_THE_CUTS,
+    share_frozen,
+    shares_killed,
+    shares_robots_killed,
+    shares_router_killed,
+)
+
+
+def test_shares_that_are_killed_have_every_scan_once(tmp_path):
+    found = shares_killed(tmp_path, 3, robots=range(40, 60), rate=10.0)
+    assert found.right, found
+    assert all(away > 0 for away in found.away), "something was missed"
+
+
+def test_a_share_that_is_frozen_for_4_s_has_every_scan_once(tmp_path):
+    found = share_frozen(tmp_path, 4.0, robots=AT_THE_CUTS, rate=10.0)
+    assert found.right, found
+    assert found.away[0] > 0
+
+
+def test_shares_whose_router_is_killed_have_every_scan_once(tmp_path):
+    found = shares_router_killed(tmp_path, 1.5, robots=AT_THE_CUTS, rate=20.0)
+    assert found.right, found
+    assert found.away[0] > 0
+
+
+def test_shares_have_all_that_had_left_a_robot_that_is_killed(tmp_path):
+    found = shares_robots_killed(tmp_path, robots=(45, 55, 65), rate=20.0)
+    assert found.right, found
