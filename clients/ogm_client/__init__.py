@@ -13,12 +13,14 @@ from ogm_client.errors import (
     MapperError,
     NobodyAnswered,
     NotHeard,
+    PartialMap,
 )
 from ogm_client.follower import MapFollower
 from ogm_client.map_change import Change
 from ogm_client.map_client import MapClient
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_layer import MapLayer
+from ogm_client.missing_shares import MissingShare
 from ogm_client.raycast import Ray, Rays
 from ogm_client.recording import RecordingWriter
 from ogm_client.robot import RobotPublisher
@@ -60,9 +62,11 @@ __all__ = [
     "MapLayer",
     "MapperError",
     "MissingExtra",
+    "MissingShare",
     "NobodyAnswered",
     "NotHeard",
     "OgmError",
+    "PartialMap",
     "Ray",
     "Rays",
     "RecordingWriter",

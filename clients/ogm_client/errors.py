@@ -8,14 +8,21 @@ OgmError
     +-- NotHeard          a mapper answers, and hears nothing of what the robot publishes
     +-- MapperError       the mapper refused the request: `type`, `status`, `detail`
     +-- BadReply          the answer is not what a mapper answers
+    +-- PartialMap        a share of the map is missing: what is there is in `map`
 
 What is wrong with the caller's own values is a `BadInput`: `BadMessage`, `BadParameter` or `BadSetting`,
 raised before anything is sent; of files, `BadMapFile` or `BadRecording`; of a package that is not installed,
 `MissingExtra`. They, `MapEmpty` and `DiskFull` are importable from `ogm_client`.
 """
 
+from typing import TYPE_CHECKING
+
 from ogm_core.errors import OgmError
 from ogm_core.status import RobotStatus
+
+if TYPE_CHECKING:
+    from ogm_client.map_grid import MapGrid
+    from ogm_client.missing_shares import MissingShare
 
 
 class ClientError(OgmError):
@@ -92,3 +99,22 @@ class BadReply(ClientError):
     """The answer is not what a mapper answers."""
 
     slug = "bad-reply"
+
+
+class PartialMap(ClientError):
+    """A map of which shares are missing, as their mappers do not answer: there, all cells are unknown.
+
+    `map` is what is there, a `MapGrid`, or the file that was fetched; `missing` the shares, each with its
+    `share`, `bounds` and `since`.
+    """
+
+    slug = "partial-map"
+
+    def __init__(self, part: "MapGrid | bytes", missing: "tuple[MissingShare, ...]") -> None:
+        shares = ", ".join(str(each.share) for each in missing)
+        super().__init__(
+            f"share {shares} of the map is missing: ask again in a few seconds, or take what is there "
+            "(partial=True)"
+        )
+        self.map = part
+        self.missing = missing

@@ -11,8 +11,9 @@ from urllib.parse import urlsplit
 import httpcore
 import httpx
 
-from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered
+from ogm_client.errors import BadReply, CannotConnect, ClientError, NobodyAnswered, PartialMap
 from ogm_client.http_deadline import DEADLINE, DeadlineTransport
+from ogm_client.missing_shares import in_headers
 from ogm_client.transport import (
     MAX_PROBLEM_BYTES,
     Limits,
@@ -21,6 +22,7 @@ from ogm_client.transport import (
     json_object,
     map_reply,
     mapper_error,
+    partial_reply,
     printable,
     too_long,
 )
@@ -79,7 +81,10 @@ class HttpTransport:
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:
         """The bytes of one of NAMES."""
-        return self._send("GET", name, parameters).content
+        answer = self._send("GET", name, parameters)
+        if "complete" not in parameters and (missing := in_headers(answer.headers)):
+            raise PartialMap(answer.content, missing)
+        return answer.content
 
     def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
         """map.npz, or another archive, with its version."""
@@ -225,8 +230,10 @@ def _check_url(url: str) -> None:
 
 def _map_reply(answer: _Answer) -> MapReply:
     headers = answer.headers
-    stamp = headers.get("OGM-Stamp")
+    stamp, missing = headers.get("OGM-Stamp"), in_headers(headers)
     try:
+        if missing:
+            return partial_reply(answer.content, missing, None if stamp == "null" else int(str(stamp)))
         epoch, run, revision = headers["OGM-Epoch"], headers.get("OGM-Run"), int(headers["OGM-Revision"])
         return map_reply(answer.content, epoch, run, revision, None if stamp == "null" else int(stamp))
     except (KeyError, TypeError, ValueError) as error:

@@ -11,7 +11,7 @@ import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
-from ogm_client.errors import BadReply
+from ogm_client.errors import BadReply, PartialMap
 from ogm_client.follower import MapFollower
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_queries import MapQueries
@@ -81,16 +81,24 @@ class MapClient(MapQueries):
         limits = Limits(timeout, max_bytes)
         self._transport = _transport(address, zenoh_config, map_name, limits, session, token)
 
-    def get_map(self, region: ArrayLike | None = None, *, at: str | None = None) -> MapGrid:
+    def get_map(
+        self, region: ArrayLike | None = None, *, at: str | None = None, partial: bool = False
+    ) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
 
         `at`: the map as it was saved under that name. A map without a known cell has shape (0, 0).
 
+        `partial`: also one of which shares are missing (see docs/fleet.md), which its `missing` names.
+
         Raises:
             MapperError: the region is inverted, not finite, or wholly outside the map; or no map is saved
                 under the name ("unknown-snapshot").
+            PartialMap: shares are missing, and it is not asked for such a map.
         """
-        return self._grid(self._transport.fetch_map(texts({"region": region, "at": at})))
+        grid = self._grid(self._transport.fetch_map(texts({"region": region, "at": at})))
+        if grid.missing and not partial:
+            raise PartialMap(grid, grid.missing)
+        return grid
 
     def fetch(self, name: str, /, **parameters: Value) -> bytes:
         """The bytes of one of the routes that answer a GET, such as map.png, distance.npz, cell or status.
@@ -101,6 +109,7 @@ class MapClient(MapQueries):
         Raises:
             BadParameter: nothing has that name, or a parameter cannot be sent.
             MapperError: the mapper does not take a parameter, or the map is empty ("map-empty", images only).
+            PartialMap: shares of the map are missing; with `complete=0` the rest of it is fetched.
         """
         if name not in NAMES:
             raise BadParameter(f"{name!r} cannot be fetched, only {', '.join(NAMES)}")
@@ -242,7 +251,7 @@ class MapClient(MapQueries):
             raise BadReply(str(error)) from error
         epoch, run, revision = reply.version
         place = npz.resolution, npz.anchor, npz.offset
-        return MapGrid(npz.log_odds, *place, epoch, revision, reply.stamp, run, npz.free_below)
+        return MapGrid(npz.log_odds, *place, epoch, revision, reply.stamp, run, npz.free_below, reply.missing)
 
 
 def _transport(

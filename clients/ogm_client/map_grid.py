@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm_client.grid_queries import GridQueries
+from ogm_client.missing_shares import MissingShare
 from ogm_client.notebook import html_of
 from ogm_client.plot import current_axes, plot_map
 from ogm_core.cells.arrays import CellArrays
@@ -51,8 +52,9 @@ class MapGrid(GridQueries):
     `log_odds` is ln(p / (1 - p)) of "occupied", NaN where unknown; float64 of a float64 map, else float32.
     `resolution` is metres per cell; `anchor` the world position of the lower-left corner of cell (0, 0), m;
     `epoch`, `run` (of the mapper's process) and `revision` name the map's state together; `stamp` is its
-    newest scan's, ns since the Unix epoch, or None. Cells of p < `free_below` are free. A
-    notebook shows a grid as a picture with a scale bar.
+    newest scan's, ns since the Unix epoch, or None. Cells of p < `free_below` are free.
+    `missing` names the shares that are not in it, of a map that is cut: it has no `epoch`, `run` and
+    `revision` then. A notebook shows a grid as a picture with a scale bar.
     """
 
     log_odds: NDArray[np.floating[Any]]
@@ -64,6 +66,7 @@ class MapGrid(GridQueries):
     stamp: int | None
     run: str = ""
     free_below: float = FREE_BELOW
+    missing: tuple[MissingShare, ...] = ()
 
     @classmethod
     def from_snapshot(cls, snapshot: MapSnapshot) -> "MapGrid":

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, NoReturn, Protocol
 
 from ogm_client.errors import BadReply, MapperError
+from ogm_client.missing_shares import MissingShare
 from ogm_core import errors
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Query, Write
@@ -59,6 +60,8 @@ class MapReply(NamedTuple):
     npz: bytes
     version: Version
     stamp: int | None
+    missing: tuple[MissingShare, ...] = ()
+    """Of a map of which a part is not there, which is of no version."""
 
 
 class Transport(Protocol):
@@ -68,7 +71,11 @@ class Transport(Protocol):
     """
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:
-        """The bytes of one of NAMES."""
+        """The bytes of one of NAMES.
+
+        Raises:
+            PartialMap: a share of the map is missing, and `complete` is not among the parameters.
+        """
 
     def fetch_map(self, parameters: Parameters, name: str = "map.npz") -> MapReply:
         """map.npz, or another archive of those NAMES, with its version."""
@@ -92,6 +99,16 @@ class Transport(Protocol):
 def too_long(what: str, limit: int) -> BadReply:
     """Say that an answer is longer than `limit`, bytes."""
     return BadReply(f"{what}: longer than {limit} bytes, the most that is read of it (max_bytes, for maps)")
+
+
+def partial_reply(npz: bytes, missing: tuple[MissingShare, ...], stamp: object) -> MapReply:
+    """What accompanies a map of which a part is missing, checked.
+
+    Raises:
+        BadReply: the stamp is of the wrong type.
+    """
+    reply = map_reply(npz, "", "", 0, stamp)
+    return reply._replace(missing=missing)
 
 
 def map_reply(npz: bytes, epoch: object, run: object, revision: object, stamp: object) -> MapReply:

@@ -8,7 +8,8 @@ from typing import cast
 import msgpack
 import zenoh
 
-from ogm_client.errors import BadReply, ClientError, nobody
+from ogm_client.errors import BadReply, ClientError, PartialMap, nobody
+from ogm_client.missing_shares import in_attachment
 from ogm_client.session import NetworkConfig, is_secured, open_session
 from ogm_client.transport import (
     MAX_PROBLEM_BYTES,
@@ -17,6 +18,7 @@ from ogm_client.transport import (
     Parameters,
     map_reply,
     mapper_error,
+    partial_reply,
     printable,
     too_long,
 )
@@ -53,7 +55,11 @@ class ZenohTransport:
 
     def fetch(self, name: str, parameters: Parameters) -> bytes:
         """The bytes of one of NAMES."""
-        return self._fetch(name, parameters, self._deadline())
+        sample = self._get(*_asked(name, parameters), self._deadline())
+        content = _content(name, sample.payload, self._limits.bytes_of(name))
+        if "." in name and "complete" not in parameters and (missing := in_attachment(_attachment(sample))):
+            raise PartialMap(content, missing)
+        return content
 
     def fetch_described(self, name: str, parameters: Parameters) -> tuple[bytes, Mapping[str, object]]:
         """The bytes of one of NAMES that shows the map, and what the mapper says of it, unchecked."""
@@ -111,6 +117,8 @@ class ZenohTransport:
         sample = self._get(*_asked(name, parameters), deadline)
         meta = _attachment(sample)
         npz = _content(name, sample.payload, self._limits.max_bytes)
+        if missing := in_attachment(meta):
+            return partial_reply(npz, missing, meta.get("stamp"))
         return map_reply(npz, *(meta.get(name) for name in ("epoch", "run", "revision", "stamp")))
 
     def _get(

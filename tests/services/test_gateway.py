@@ -9,7 +9,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from ogm_client import MapClient, MapperError
+from ogm_client import MapClient, MapperError, PartialMap
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.files.map_files import encode_npz
 from ogm_core.grid import OccupancyGrid
@@ -298,6 +298,40 @@ def test_the_client_library_and_queries_over_zenoh_find_one_mapper(fleet):
             client.erase(region=(0, 0, 1, 1))
         client.reset()
         assert client.get_map().width == 0
+
+
+@pytest.mark.parametrize("over", ["http", "zenoh"])
+def test_the_client_library_raises_what_is_there_of_a_partial_map(fleet, over):
+    fleet.integrate(6)
+    _, http = fleet.gateway()
+    whole = npz(http.get("/map.npz").content)["log_odds"]
+    fleet.shares[1].close()
+    where = {"address": str(http.base_url)} if over == "http" else {"session": fleet.join()}
+    with MapClient(map_name="m", timeout=30.0, **where) as client:
+        with pytest.raises(PartialMap, match="share 1 ") as raised:
+            client.get_map()
+        (missing,) = raised.value.missing
+        assert (missing.share, missing.bounds) == (1, (0.0, None, None, 0.0))
+        assert missing.since > 1.7e18
+        part = raised.value.map
+        assert part.epoch == ""
+        known = np.isfinite(part.log_odds)
+        assert 0 < known.sum() < np.isfinite(whole).sum()
+        taken = client.get_map(partial=True)
+        assert np.array_equal(taken.log_odds, part.log_odds, equal_nan=True)
+        assert taken.missing == (missing,)
+        with pytest.raises(PartialMap) as raised:
+            client.fetch("map.png")
+        assert raised.value.map == client.fetch("map.png", complete=0)
+        for refused in (
+            lambda: client.fetch("map.png", complete=1),
+            lambda: client.fetch("map.pgm"),
+            lambda: client.distance(),
+        ):
+            with pytest.raises(MapperError, match="partial-map") as error:
+                refused()
+            assert error.value.status == 503
+        assert len(client.fetch("map.tiles")) > 100
 
 
 def test_over_zenoh_a_partial_map_says_so_in_its_attachment(fleet):

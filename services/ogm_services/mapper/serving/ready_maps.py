@@ -168,7 +168,7 @@ def _map_headers(answer: Answer) -> dict[str, str]:
     meta = answer.meta or {}
     origin = meta["origin"]
     if answer.etag is None:
-        named = {"OGM-Missing": missing_in_words(meta["missing"]), **NO_STORE}
+        named = {**_missing_headers(meta["missing"]), **NO_STORE}
     else:
         named = {
             "ETag": answer.etag,
@@ -185,9 +185,13 @@ def _map_headers(answer: Answer) -> dict[str, str]:
     }
 
 
-def missing_in_words(missing: Sequence[Mapping[str, Any]]) -> str:
-    """The header that names the missing shares of a map."""
-    return ", ".join(f"{each['share']};since={each['since']}" for each in missing)
+def _missing_headers(missing: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Which shares of a map are missing, and, in the same order, what they fill of the world."""
+    bounds = (("" if edge is None else repr(edge) for edge in each["bounds"]) for each in missing)
+    return {
+        "OGM-Missing": ", ".join(f"{each['share']};since={each['since']}" for each in missing),
+        "OGM-Missing-Bounds": "; ".join(",".join(edges) for edges in bounds),
+    }
 
 
 def _lines(scope: Scope) -> tuple[list[str], list[str], list[bytes]]:
