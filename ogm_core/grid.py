@@ -134,11 +134,7 @@ class OccupancyGrid:
             LimitReached: it would stretch the map past a limit; no cell has changed.
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
-        time, aging, tick = self.time, self._aging, self.settings.tick
-        if tick is not None:
-            time = time.after(scan.stamp, self.revision + 1, tick)
-            if time.ticks is not self.time.ticks:
-                aging = Aging.by(time.ticks, self.model)
+        time, aging = self._time_after(scan.stamp)
         try:
             updates = self._add_at_once(scan, pose) if sweep is None else None
             if updates is None:
@@ -150,11 +146,8 @@ class OccupancyGrid:
             raise LimitReached(
                 f"the system has no memory left for the map: {SMALLER_MAP}", "memory"
             ) from error
-        # Note that the map has changed.
-        self.revision += 1
-        self.stamp = scan.stamp if self.stamp is None else max(self.stamp, scan.stamp)
+        self._note(scan.stamp, time, aging)
         self.cell_updates += updates
-        self.time, self._aging = time, aging
         return updates
 
     def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
@@ -167,6 +160,23 @@ class OccupancyGrid:
         if threads is not None and updates is not None:
             threads.alone(beams, updates)
         return updates
+
+    def pass_over(self, stamp: int) -> None:
+        """Count a scan of this stamp that is integrated elsewhere: none of its cells lies in the clip."""
+        self._note(stamp, *self._time_after(stamp))
+
+    def _time_after(self, stamp: int) -> tuple[MapTime, Aging | None]:
+        """How far the map's time has come with the next scan."""
+        if self.settings.tick is None:
+            return self.time, self._aging
+        time = self.time.after(stamp, self.revision + 1, self.settings.tick)
+        return time, self._aging if time.ticks is self.time.ticks else Aging.by(time.ticks, self.model)
+
+    def _note(self, stamp: int, time: MapTime, aging: Aging | None) -> None:
+        """Note that there is one scan more."""
+        self.revision += 1
+        self.stamp = stamp if self.stamp is None else max(self.stamp, stamp)
+        self.time, self._aging = time, aging
 
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
         """Refuse what is too large, grow, and update the cells of `updated`; return the number of updates.

@@ -105,3 +105,13 @@ def write_rough_log(path):
         + sum(ms > POSES[49] for ms in SCANS[:20]),
     )
     return sum(isinstance(message, RecordedScan) for _, message in messages), dropped, LATE
+
+
+def write_three_logs(folder):
+    """Write logs in which robots have the same names, seqs, runs and clocks; return their paths."""
+    paths = [folder / name for name in ("monday.jsonl", "tuesday.jsonl", "wednesday.jsonl")]
+    write_rough_log(paths[0])
+    for path, start, count in ((paths[1], 5000, 40), (paths[2], 9000, 25)):
+        drive = Drive("plain", start=start, run="").poses(POSES).scans(SCANS[:count])
+        write_jsonl(path, [message for _, message in sorted(drive.sent, key=lambda item: item[0])])
+    return paths

@@ -87,7 +87,7 @@ def _consistency_within(
     reaches = []
     for placed in reversed(recent):
         between()
-        reaches.append(_reach(ends_in_map(placed, snapshot, settings), snapshot.rect))
+        reaches.append(_reach(ends_in_map(placed, snapshot.lattice, settings), snapshot.rect))
     total = sum(reach.visits for reach in reaches)
     taken, window, spent = 0, CellRect(0, 0, 0, 0), 0
     for reach in reaches:

@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.cells.thresholds import OCCUPIED_ABOVE
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import CellRect
+from ogm_core.lattice import CellRect, Lattice
 from ogm_core.placing.clock_hints import ClockHints
 from ogm_core.placing.hints import Hints
 from ogm_core.quality import agreement
@@ -87,6 +87,24 @@ def quality_figures(snapshot: MapSnapshot, consistency: "Consistency", cell_upda
     }
 
 
+class Beliefs(NamedTuple):
+    """A map by what is believed of its cells, for who holds scans against it; and what a scan is read by."""
+
+    lattice: Lattice
+    window: CellRect
+    """Only its cells are judged."""
+    sides: NDArray[np.uint8]
+    """Of which side of p = 0.5 they are, [iy, ix], as `agreement` has them."""
+
+    def judged(self, placed: PlacedScan, settings: GridSettings) -> NDArray[np.int64]:
+        """What a scan that was integrated says of them: what `Consistency.take` takes."""
+        return self.judged_beams(ends_in_map(placed, self.lattice, settings))
+
+    def judged_beams(self, ends: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The same of some beams of a scan."""
+        return np.array(agreement.agreement(ends, self.window, self.sides), np.int64)
+
+
 class Consistency:
     """Share of hit end cells with p > 0.5, and of traversed cells with p < 0.5, in a finished map."""
 
@@ -99,9 +117,8 @@ class Consistency:
         """
         self._every = every
         self._settings = settings
-        self._snapshot = snapshot
-        self._window = window or snapshot.rect
-        self._beliefs = (snapshot if window is None else _cut(snapshot, window)).encode(_side_of_half)
+        sides = (snapshot if window is None else _cut(snapshot, window)).encode(_side_of_half)
+        self.beliefs = Beliefs(snapshot.lattice, window or snapshot.rect, sides)
         self._counts = np.zeros(4, np.int64)
 
     def add(self, placed: PlacedScan, between: Callable[[], None] = lambda: None) -> None:
@@ -109,11 +126,15 @@ class Consistency:
 
         Calls `between` every BEAMS_IN_A_ROW beams; what that raises ends it, with the scan judged in part.
         """
-        ends = ends_in_map(placed, self._snapshot, self._settings)[:, :: self._every]
+        ends = ends_in_map(placed, self.beliefs.lattice, self._settings)[:, :: self._every]
         for first in range(0, ends.shape[1], BEAMS_IN_A_ROW):
             between()
             some = np.ascontiguousarray(ends[:, first : first + BEAMS_IN_A_ROW])
-            self._counts += agreement.agreement(some, self._window, self._beliefs)
+            self.take(self.beliefs.judged_beams(some))
+
+    def take(self, counts: NDArray[np.int64]) -> None:
+        """Take what was judged elsewhere (see `Beliefs.judged`): the sum of any number of scans."""
+        self._counts += counts
 
     @property
     def visited(self) -> int:
@@ -126,11 +147,11 @@ class Consistency:
         return {"hits": occupied / hits if hits else None, "free": free / passed if passed else None}
 
 
-def ends_in_map(placed: PlacedScan, snapshot: MapSnapshot, settings: GridSettings) -> NDArray[np.int64]:
-    """The ends of a scan's beams (see sensor_models.beams), without those that are not in the map."""
-    ends = project(placed, snapshot.lattice, settings).ends
+def ends_in_map(placed: PlacedScan, lattice: Lattice, settings: GridSettings) -> NDArray[np.int64]:
+    """The ends of a scan's beams (see sensor_models.beams) on a lattice, without those not in the map."""
+    ends = project(placed, lattice, settings).ends
     if settings.outside == "drop" and settings.bounds_rect is not None:
-        side = round(settings.resolution / snapshot.lattice.resolution)
+        side = round(settings.resolution / lattice.resolution)
         beams.drop_outside(ends, *(side * edge for edge in settings.bounds_rect))
     return ends
 

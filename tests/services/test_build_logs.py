@@ -11,7 +11,7 @@ from ogm_core.logs.recordings import RecordingReader
 from ogm_services.commands.build import run_build
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
-from rough_log import POSES, SCANS, Drive, write_rough_log
+from rough_log import SCANS, Drive, write_three_logs
 
 FILES = ("map.npz", "map.png", "map.pgm", "map.yaml", "quality.json")
 
@@ -20,20 +20,9 @@ def settings_of(robots=(), **flags):
     return load_settings(config=None, flags={"map": flags}, environ={}, robots=robots)
 
 
-def write_drive(path, start, count=40):
-    """The log of a robot that names neither its run nor other seqs than those of another day."""
-    drive = Drive("plain", start=start, run="").poses(POSES).scans(SCANS[:count])
-    write_jsonl(path, [message for _, message in sorted(drive.sent, key=lambda item: item[0])])
-
-
 @pytest.fixture
 def logs(tmp_path):
-    """Three logs in which robots have the same names, seqs, runs and clocks."""
-    paths = [tmp_path / name for name in ("monday.jsonl", "tuesday.jsonl", "wednesday.jsonl")]
-    write_rough_log(paths[0])
-    write_drive(paths[1], start=5000)
-    write_drive(paths[2], start=9000, count=25)
-    return paths
+    return write_three_logs(tmp_path)
 
 
 def as_one(logs, path):

@@ -419,7 +419,7 @@ def test_build(ogm, stub):
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     logs, out, settings = run.args
     assert (logs, out, settings.map.preset) == ([Path("a.jsonl")], Path("maps"), "lab")
-    rest = {"world": None, "figure": None}
+    rest = {"world": None, "figure": None, "workers": 1}
     assert run.options == {"read_as": ReadAs(8.0), "held": HeldScans(5), **rest}
     robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")
     assert ogm("build", "a.jsonl", "--out", "maps", *robots).exit_code == 0

@@ -5,7 +5,8 @@ are held against it, to judge how well it agrees with them: from memory, or in a
 are too large for that.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
+from ogm_services.commands.batch.mapping import files_of_build, map_by_workers
+from ogm_services.commands.batch.workers import WorkerProcesses
 from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
 from ogm_services.commands.log_readers import AS_IT_SAYS, ReadAs
 from ogm_services.commands.log_report import LogReport
@@ -37,6 +40,7 @@ def run_build(
     held: HeldScans = ALL_MAPPED,
     world: str | None = None,
     figure: Path | None = None,
+    workers: int = 1,
 ) -> None:
     """Map logs and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
 
@@ -44,6 +48,7 @@ def run_build(
 
     `held` keeps scans out of the map, and judges it by them.
     `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
+    With several `workers`, processes, the files are the same.
 
     Raises:
         BadInput: the world is none, a log is given twice, or the folder or the figure cannot be written;
@@ -56,11 +61,11 @@ def run_build(
     if figure is not None:
         check_figure(figure, out)
     _check_once(logs)
-    mapped = map_logs(readers_of(logs, read_as, settings), settings, held)
-    snapshot, reports = mapped.grid.snapshot(), mapped.reports
-    _tell(mapped, snapshot)
-    finest = snapshot.finest()
-    quality, report = _judged(mapped, finest, held), _in_words(out, reports)
+    with _mapped(logs, out, settings, read_as, held, workers) as mapped:
+        snapshot, reports = mapped.grid.snapshot(), mapped.reports
+        _tell(mapped, snapshot)
+        finest = snapshot.finest()
+        quality, report = _judged(mapped, finest, held), _in_words(out, reports)
     if true_world is not None:
         quality["truth"] = truth_figures(finest, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
@@ -70,6 +75,20 @@ def run_build(
     if figure is not None and drawn is not None:
         write_figure(figure, drawn)
     typer.echo(report)
+
+
+@contextmanager
+def _mapped(
+    logs: Sequence[Path], out: Path, settings: Settings, read_as: ReadAs, held: HeldScans, workers: int
+) -> Iterator[MappedLogs]:
+    """The map of the logs; inside, it can be judged."""
+    if workers == 1:
+        yield map_logs(readers_of(logs, read_as, settings), settings, held)
+        return
+    with ExitStack() as stack:
+        files = stack.enter_context(files_of_build(out))
+        at_work = stack.enter_context(WorkerProcesses(workers))
+        yield map_by_workers(logs, settings, read_as=read_as, held=held, workers=at_work, files=files)
 
 
 def _check_once(logs: Sequence[Path]) -> None:

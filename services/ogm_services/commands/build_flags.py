@@ -49,6 +49,9 @@ def build(
         Path | None,
         typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
     ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Work in so many processes; the map is the same.")
+    ] = 1,
 ) -> None:
     """Make a map of recorded logs, one of all of them, without network."""
     held = HeldScans(hold_out)
@@ -65,4 +68,5 @@ def build(
             held=held,
             world=world,
             figure=figure,
+            workers=workers,
         )

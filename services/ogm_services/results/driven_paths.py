@@ -27,7 +27,10 @@ class DrivenPath:
 
     def add(self, scan: Scan, sensor: Pose) -> None:
         """Go on to where a scan was taken, `sensor` being its sensor's pose in the map frame."""
-        position = _base(scan, sensor)
+        self.go_to(base_of(scan, sensor))
+
+    def go_to(self, position: tuple[float, float]) -> None:
+        """Go on to where the robot's base was when a scan was taken, m."""
         self._joined &= math.dist(self._newest, position) <= JUMP
         self._newest = position
         self._since += 1
@@ -56,7 +59,7 @@ class DrivenPath:
         self._stride *= 2
 
 
-def _base(scan: Scan, sensor: Pose) -> tuple[float, float]:
+def base_of(scan: Scan, sensor: Pose) -> tuple[float, float]:
     """Position of the robot's base, whose mount leads to the sensor's pose, m."""
     theta = sensor.theta - scan.mount.theta
     c, s = math.cos(theta), math.sin(theta)

@@ -3,9 +3,21 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 Show = Callable[[float], None]
 """Shows how much is done, in the unit of the total."""
+_unseen: ContextVar[bool] = ContextVar("unseen", default=False)
+
+
+@contextmanager
+def nothing_shown() -> Iterator[None]:
+    """Inside, no bar is shown by this thread: somebody else shows how much is done."""
+    token = _unseen.set(True)
+    try:
+        yield
+    finally:
+        _unseen.reset(token)
 
 
 @contextmanager
@@ -26,7 +38,7 @@ def progress_line() -> Iterator[Callable[[str], None]]:
 @contextmanager
 def progress_bar(text: str, total: float, *, counted: bool = False) -> Iterator[Show]:
     """Show a bar while something is done, and give what moves it; `counted` shows the numbers as well."""
-    if not sys.stderr.isatty():
+    if _unseen.get() or not sys.stderr.isatty():
         yield lambda _: None
         return
     # Here, because it takes a while, and where nobody looks a log is soon read.

@@ -1,0 +1,34 @@
+"""Tasks that workers die of, fail at or never end."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from ogm_core.errors import BadRecording
+from ogm_services.commands.batch.tasks import Task
+
+
+def dying(folder, number, times):
+    """Kill this process, the first so many times; then return the number, and how often it was begun."""
+    marks = Path(folder)
+    marks.joinpath(f"{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
+    begun = len(list(marks.glob(f"{number}-*")))
+    if begun <= times:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number, begun
+
+
+def failing(text):
+    """Refuse."""
+    raise BadRecording(text)
+
+
+def endless():
+    """Outlast any test."""
+    time.sleep(3600)
+
+
+def task(name, *arguments, about="a task"):
+    """One of these."""
+    return Task(name, arguments, about, "dying_tasks")
