@@ -236,10 +236,10 @@ class ShareState:
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
-    `run` is the id of the mapper's process, "" of an older one that has none. `store` is that of a mapper
-    which stores its map, `share` that of one which has a share of a map; the JSON of others has none. Of a
-    gateway alone there are `shares`, and `complete`: whether all of them have told how they are, and none has
-    dropped scans that others have.
+    `run` is the id of the mapper's process, "" of an older one that has none. `threads` update the cells of a
+    large scan. `store` is that of a mapper which stores its map, `share` that of one which has a share of a
+    map; the JSON of others has none. Of a gateway alone there are `shares`, and `complete`: whether all of
+    them have told how they are, and none has dropped scans that others have.
     """
 
     map: str
@@ -253,6 +253,7 @@ class Status:
     robots: dict[str, RobotStatus]
     uptime_s: float
     run: str = ""
+    threads: int = 1
     store: StoreInfo | None = None
     share: ShareInfo | None = None
     shares: list[ShareState] | None = None

@@ -25,7 +25,7 @@ MAP_FLAGS = (
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --root-path --http-token-file"
-MAPPER_FLAGS = "--data --start-map --start-confidence"
+MAPPER_FLAGS = "--threads --data --start-map --start-confidence"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = (
     "--range-max --robot --odometry --scan-topic --cloud-topic --z-band --bins --pose-topic --fixed-frame "
@@ -42,7 +42,7 @@ FLAGS = {
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
-    "build": f"--out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
+    "build": f"--threads --out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
     "merge": "--out -o",
     "info": "--json",
     "get": "--out -o --at --url --map --zenoh-config --config",

@@ -29,7 +29,9 @@ from ogm_core.sensor_models import (
     dda,
     passing,
     spans,
+    strip_work,
 )
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.tiles import overviews
 from ogm_core.tiles import view as tiled_cells
 from ogm_core.tiles.pyramid import Square
@@ -251,3 +253,32 @@ def test_of_a_map_that_counts_nothing_is_compiled_afterwards(bounds, outside):
         live_map.quality()
     assert compiled(KERNELS + OF_COUNTS) == before
     assert min(compiled(OF_COUNTS)) >= 1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        GridSettings(0.1),
+        GridSettings(0.1, LogOdds("float64"), traversal="dda"),
+        GridSettings(0.1, sensor_model="sector"),
+        GridSettings(0.1, Rate()),
+    ],
+    ids=["bresenham", "dda float64", "sector", "rate"],
+)
+def test_scans_that_several_threads_share_wait_for_no_compiler(settings):
+    warm_up(settings, threads=2)
+    kernels = (
+        *KERNELS,
+        *OF_COUNTS,
+        strip_work.work_of_beams,
+        strip_work.work_of_spans,
+        strip_work.even_cuts,
+    )
+    before = compiled(kernels)
+    with UpdateThreads(2, least_cells=1) as threads:
+        live_map = LiveMap(OccupancyGrid(settings), threads=threads)
+        for scan in scans():
+            live_map.integrate(scan, Pose(0, 0, 0))
+            live_map.integrate(scan, Pose(0, 0, 0))
+    assert compiled(kernels) == before
+    assert len(strip_work.even_cuts.signatures) == 1

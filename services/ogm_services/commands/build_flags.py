@@ -15,7 +15,7 @@ from ogm_services.runtime.loading import loading
 from ogm_services.runtime.log_lines import log_nothing
 from ogm_services.runtime.signals import running_service
 from ogm_services.settings.flag_groups import with_flag_groups
-from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, settings_from
+from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, ThreadFlags, settings_from
 from ogm_services.settings.robot_flags import SensorFlags
 
 
@@ -30,6 +30,7 @@ def build(
     log_flags: LogFlags,
     topics: TopicFlags,
     bag: BagFlags,
+    thread_flags: ThreadFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
     sensor: SensorFlags = None,
@@ -56,7 +57,8 @@ def build(
     """Make a map of recorded logs, one of all of them, without network."""
     held = HeldScans(hold_out)
     robots = log_flags.robots
-    settings = settings_from(config, map_flags, sensors=sensor, robots=robots, print_config=print_config)
+    groups = map_flags, thread_flags
+    settings = settings_from(config, *groups, sensors=sensor, robots=robots, print_config=print_config)
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
             from ogm_services.commands.build import run_build

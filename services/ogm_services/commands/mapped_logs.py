@@ -13,6 +13,7 @@ from typing import NamedTuple
 from ogm_core.grid import OccupancyGrid
 from ogm_core.logs.decimals import read_decimals
 from ogm_core.quality.figures import Consistency, hints_by
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
 from ogm_services.commands.held_scans import HeldScans
@@ -66,15 +67,17 @@ def map_logs(readers: Readers, settings: Settings, held: HeldScans) -> MappedLog
     """
     grid = OccupancyGrid(settings.grid_settings())
     first, reports = _MapPass(grid), []
-    for log, reader in readers:
-        feed = LogFeed(settings, held)
-        first.log = "" if len(readers) == 1 else log.name
-        before = grid.revision, len(first.held)
-        hints = hints_by(grid.snapshot, grid.settings, lambda: grid.time.time)
-        with reader() as messages:
-            feed.run(messages, first, f"mapping {first.log}".rstrip(), hints)
-        counts = grid.revision - before[0], len(first.held) - before[1]
-        reports.append(LogReport.of(log, messages, feed, *counts))
+    with UpdateThreads(settings.mapper.thread_count) as threads:
+        grid.threads = threads if threads.count > 1 else None
+        for log, reader in readers:
+            feed = LogFeed(settings, held)
+            first.log = "" if len(readers) == 1 else log.name
+            before = grid.revision, len(first.held)
+            hints = hints_by(grid.snapshot, grid.settings, lambda: grid.time.time)
+            with reader() as messages:
+                feed.run(messages, first, f"mapping {first.log}".rstrip(), hints)
+            counts = grid.revision - before[0], len(first.held) - before[1]
+            reports.append(LogReport.of(log, messages, feed, *counts))
 
     def judge(consistency: Consistency) -> None:
         if first.kept.scans is None:

@@ -20,6 +20,7 @@ from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.quality.figures import hints_by
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.shares import Ground
 from ogm_core.types import PlacedScan
 from ogm_core.wire.keys import Source
@@ -77,6 +78,9 @@ class Parts:
         """Which part of a map that is cut it keeps; None: all of it."""
         self.receipts = Receipts(in_shares=self.share is not None)
         """What became of every message; any thread."""
+        count = settings.mapper.thread_count
+        self.threads = UpdateThreads(count) if count > 1 else None
+        """What updates the cells of large scans; the worker's."""
         data = settings.mapper.data
         self.kept_map = None if data is None else KeptMap(data)
         """The map on disk; a thread."""
@@ -97,6 +101,8 @@ class Parts:
 
     def close(self) -> None:
         """Close what is open before the service starts; once the worker runs no more. Once is enough."""
+        if self.threads is not None:
+            self.threads.close()
         if self.kept_map is not None:
             self.kept_map.close()
 
@@ -111,7 +117,7 @@ class Parts:
         if grid is None:
             grid = started_grid(settings, uuid.uuid4().hex, self.run)
         self.grid_settings: GridSettings = grid.settings
-        self.live_map = LiveMap(grid, self.memory)
+        self.live_map = LiveMap(grid, self.memory, self.threads)
         """The worker writes it, any thread reads it."""
 
     def _make_intake(self, settings: Settings) -> None:
@@ -215,6 +221,7 @@ class Parts:
             if kept is None
             else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
             share=None if self.share is None else self.share.info(),
+            threads=settings.mapper.thread_count,
         )
         """The answering threads ask."""
         self.live_updates = LiveUpdates(

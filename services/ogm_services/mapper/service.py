@@ -143,10 +143,10 @@ def _end_as_it_is(stuck: NotStopped, last_map: LastMap, service: "MapperService"
 class MapperService:
     """A mapper with its threads, as a context manager: inside the `with` it is ready.
 
-    Threads: the worker (owns the map), the monitor (owns the series and the truth), the watch, one that looks
-    for other mappers of the map, one that tells followers what has changed, one for HTTP's event loop with
-    its pool, Zenoh's own, a small pool for its queries, and one that makes rarely used kernels ready. All of
-    them end with the `with`.
+    Threads: the worker (owns the map), those that update cells with it, the monitor (owns the series and the
+    truth), the watch, one that looks for other mappers of the map, one that tells followers what has changed,
+    one for HTTP's event loop with its pool, Zenoh's own, a small pool for its queries, and one that makes
+    rarely used kernels ready. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings, last_map: LastMap | None = None) -> None:
@@ -256,7 +256,7 @@ class MapperService:
         self.updates = UpdatePublisher(self.live_map, self.parts.in_flight)
         opening.callback(self.updates.stop)
         self._declare(routes, zenoh_threads)
-        _warm_up(self.parts.grid_settings)
+        _warm_up(self.parts.grid_settings, self._settings.mapper.thread_count)
         others.serve()
         self._begin_to_map(opening, session, subscriber, routes)
         self._note_addresses(listener, config)
@@ -321,13 +321,13 @@ def _answering_threads(opening: ExitStack, waiting: int) -> AnsweringThreads:
     return threads
 
 
-def _warm_up(settings: GridSettings) -> None:
+def _warm_up(settings: GridSettings, threads: int) -> None:
     """Make ready what scans need, before the first one; signals end that. Says so if it is to take long."""
     empty, began = begins_empty(), time.monotonic()
     if empty:
         often, seconds = ", once for this version" if lasts() else "", COMPILATION[settings.sensor_model]
         log.info("compiling the map's kernels%s: about %d s", often, seconds)
     with held_signals() as held, compiling_until(lambda: bool(held)):
-        warm_up(settings)
+        warm_up(settings, threads)
     if empty:
         log.info("compiled the map's kernels in %.0f s", time.monotonic() - began)

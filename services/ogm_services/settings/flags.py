@@ -205,11 +205,28 @@ class HttpFlags(_SettingFlags):
     ] = None
 
 
+Threads = Annotated[
+    str | None,
+    _setting("mapper", "threads", "N", "Threads that update cells, of large scans; auto: all cores but one"),
+]
+
+
+@dataclass(frozen=True)
+class ThreadFlags(_SettingFlags):
+    """Flags of who makes a map without a network."""
+
+    section = "mapper"
+
+    threads: Threads = None
+
+
 @dataclass(frozen=True)
 class MapperFlags(_SettingFlags):
     """Flags of the mapper alone."""
 
     section = "mapper"
+
+    threads: Threads = None
 
     data: Annotated[
         str | None,

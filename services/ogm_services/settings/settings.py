@@ -1,5 +1,6 @@
 """Settings of every service: what may be set, and within which limits."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,7 @@ from ogm_services.settings.values import (
     PositiveOrInfinite,
     Preset,
     Probability,
+    Threads,
     WholeNumber,
 )
 
@@ -143,7 +145,7 @@ class MapperSettings(Section):
 
     `max_cells` of the known rectangle, `max_bytes` of the map's own memory, `max_memory` of all that robots
     and readers make it hold, `max_beams` and
-    `max_scan_cells` of one scan, `queue` in scans.
+    `max_scan_cells` of one scan, `queue` in scans, `threads` that update the cells of a large scan.
     `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
     `PlacingRules`. `data` is the folder that the map is stored in, made if need be; `start_map` the YAML file
     of a ROS map, or a map.npz; a relative path starts at the working folder; `start_confidence` the
@@ -160,9 +162,21 @@ class MapperSettings(Section):
     max_speed: PositiveOrInfinite = DEFAULT_RULES.max_speed
     max_turn_rate: PositiveOrInfinite = DEFAULT_RULES.max_turn_rate
     queue: Count = 4096
+    threads: Threads = 1
     data: Annotated[Path | None, NONE] = None
     start_map: Annotated[FilePath | None, NONE] = None
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
+
+    @property
+    def thread_count(self) -> int:
+        """How many threads update the cells of a large scan: with `auto` one less than there are cores.
+
+        Only the cores count that this process may use. It is one at least.
+        """
+        if isinstance(self.threads, int):
+            return self.threads
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return max(1, cores - 1)
 
 
 class LogSettings(Section):

@@ -38,6 +38,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 """Map settings that replace the defaults, by the preset's name."""
 
+AUTO = "auto"
+MAX_THREADS = 64
+
 OF_LOG_ODDS = ("traversal", "cells", "p_prior", "p_occ", "p_free", "l_min", "l_max")
 """Map settings that say how log odds are kept and changed: another cell model has none of them."""
 
@@ -157,6 +160,18 @@ def _whole_from_text(value: object) -> object:
         return value
 
 
+def _threads(value: object) -> object:
+    if isinstance(value, str) and value.strip().lower() == AUTO:
+        return AUTO
+    try:
+        count = None if isinstance(value, bool | float) else int(str(value))
+    except ValueError:
+        count = None
+    if count is None or not 1 <= count <= MAX_THREADS:
+        raise ValueError(f"a whole number from 1 to {MAX_THREADS}, or {AUTO}, is needed")
+    return count
+
+
 def _list_from_text(value: object) -> object:
     return [part.strip() for part in value.split(",") if part.strip()] if isinstance(value, str) else value
 
@@ -221,6 +236,7 @@ FreeBelow = Annotated[float, Field(gt=0.0, lt=OCCUPIED_ABOVE)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]
 Count = Annotated[WholeNumber, Field(ge=1)]
+Threads = Annotated[int | Literal["auto"], BeforeValidator(_threads)]
 Bounds = Annotated[Region, BeforeValidator(parse_region)]
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
 HostNames = Annotated[

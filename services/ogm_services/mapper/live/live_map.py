@@ -9,6 +9,7 @@ from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
@@ -51,15 +52,22 @@ class LiveMap:
     """An `OccupancyGrid` with one writer and many readers.
 
     Who owns what: only the worker thread calls `integrate`, `reset`, `become` and `erase`, and `_writing` is
-    held while a kernel runs or tiles that have changed are copied out. After each change the writer replaces
-    `_state`, a tuple that nobody changes: whoever reads it waits for nobody. Readers (HTTP and Zenoh threads)
-    share the newest snapshot, which nobody changes; `_reading` keeps them from making the same copy twice.
-    `LiveFigures` have locks of their own, so that who waits for them holds up nobody else.
+    held while kernels run, on it and on the `threads` that help it, or tiles that have changed are copied
+    out. After each change the writer replaces `_state`, a tuple that nobody changes: whoever reads it waits
+    for nobody. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody changes; `_reading`
+    keeps them from making the same copy twice. `LiveFigures` have locks of their own, so that who waits for
+    them holds up nobody else.
     """
 
-    def __init__(self, grid: OccupancyGrid, memory: MemoryUse | None = None) -> None:
-        """`memory`: what others hold beside the map, which gets new tiles only while all of it has room."""
+    def __init__(
+        self, grid: OccupancyGrid, memory: MemoryUse | None = None, threads: UpdateThreads | None = None
+    ) -> None:
+        """`memory`: what others hold beside the map, which gets new tiles only while all of it has room.
+
+        `threads` update the cells of large scans, if not the writer alone; who gives them closes them.
+        """
         self._grid = grid
+        self._threads = grid.threads = threads
         self._memory = memory
         self._recent = RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
         self._writing = threading.Lock()
@@ -105,6 +113,7 @@ class LiveMap:
         """
         with self._writing:
             self._grid = grid
+            grid.threads = self._threads
             self._state = self._told()
             self._recent.clear()
 

@@ -19,6 +19,7 @@ from ogm_core.quality.first_walls import count_hits
 from ogm_core.queries.ray_kernel import cast_rays
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
 from ogm_core.tiles.halved import tiled
@@ -32,10 +33,14 @@ from ogm_services.runtime.signals import MakeWay
 log = logging.getLogger(__name__)
 
 
-def warm_up(settings: GridSettings) -> None:
-    """Load or compile every kernel for scans, the status and pictures, on a small map of the same kind."""
+def warm_up(settings: GridSettings, threads: int = 1) -> None:
+    """Load or compile every kernel for scans, the status and pictures, on a small map of the same kind.
+
+    Also those that cut a scan into parts, where more than one of the `threads` is to update cells.
+    """
     small, scan, pose = _small(settings)
-    scratch = LiveMap(OccupancyGrid(small))
+    # None of them is started: the scan is small. But whether it is worth several has to be found out.
+    scratch = LiveMap(OccupancyGrid(small), threads=UpdateThreads(threads) if threads > 1 else None)
     for _ in range(2):  # kernels of a scan that tells of new cells, and of one that does not
         scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)

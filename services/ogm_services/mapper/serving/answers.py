@@ -66,12 +66,14 @@ class Answers:
         saved: SavedMaps | None = None,
         share: ShareInfo | None = None,
         followed: ServedMap | None = None,
+        threads: int = 1,
     ) -> None:
         """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
 
         `in_flight` counts what is being made. `store` tells of the map on disk, and `saved` of those
         that are saved; None: nothing is stored. `share` is the one that this is the map of. `followed` is
-        the map under the name that it has for who follows it, where that is another one.
+        the map under the name that it has for who follows it, where that is another one. So many `threads`
+        update cells.
         """
         self._map_name = map_name
         self._map = live_map
@@ -82,7 +84,7 @@ class Answers:
         self._in_flight = in_flight or InFlight()
         self._store = store
         self._saved = saved
-        self._share = share
+        self._share, self._threads = share, threads
         self._large = LargeAnswers() if saved is None else saved.large
         self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
         """Bytes of answers that one cache may keep."""
@@ -359,6 +361,7 @@ class Answers:
             map_info=self._map.info(),
             robots=counts.robots,
             uptime_s=time.monotonic() - self._started,
+            threads=self._threads,
             store=None if self._store is None else self._store(),
             share=self._share,
         )
