@@ -2,8 +2,8 @@
 
 Eight parts, each of them alone by its name: `examples` (hypothesis), `files` (mutated files), `http` (made-up
 requests, by the description of the routes), `stores` (stored maps that are damaged), `overload`, `missed`
-(mappers and routers that are killed), `shares` (those of shares of a map) and `recorded` (recorders that are). Tables are kept of what ran at full
-length: ten minutes, 10,000 examples, and 300 damaged stores.
+(mappers and routers that are killed), `shares` (those of shares of a map) and `recorded` (recorders that
+are). Tables are kept of what ran at full length: ten minutes, 10,000 examples, and 300 damaged stores.
 """
 
 import argparse

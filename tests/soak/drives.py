@@ -89,4 +89,5 @@ def uninterrupted(sent: dict[int, list[int]], rate: float, flags: dict[str, obje
 def uninterrupted_grid(sent: dict[int, list[int]], rate: float, flags: dict[str, object]) -> OccupancyGrid:
     """The same, not yet encoded."""
     runs = ((robot, run, count) for robot, counts in sent.items() for run, count in enumerate(counts))
-    return mapped_grid(((robot, messages(robot, count, f"run{run}", rate)) for robot, run, count in runs), flags)
+    drives = ((robot, messages(robot, count, f"run{run}", rate)) for robot, run, count in runs)
+    return mapped_grid(drives, flags)

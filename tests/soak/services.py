@@ -79,7 +79,7 @@ class Service:
 
 
 class Mapper(Service):
-    """`ogm mapper --data`, and what its lives have counted, as they told last; with `share` that of a share."""
+    """`ogm mapper --data`, and what its lives have counted, as they told last; of a share with `share`."""
 
     def __init__(self, endpoint: str, folder: Path, how: str, flags: dict[str, object]) -> None:
         self._served_at = "status   " if "share" in flags else "live map "

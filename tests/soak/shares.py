@@ -1,4 +1,4 @@
-"""Shares of a map that are killed and frozen, their router, and robots: together they hold what one mapper would.
+"""Shares of a map that are killed and frozen, their router, and robots: they hold what one mapper would.
 
 Four `ogm mapper --share`, each with its store, a router, and robots of which some see across the cuts, each a
 process. The parts that the shares answer with are put together, and held against the map that the robots'
@@ -27,7 +27,7 @@ CUT = 51.2
 """At x and at y, m: robots whose number has a 5 stand 1.2 m from it, and see across."""
 FLAGS = {"cuts_x": CUT, "cuts_y": CUT, "reach": 4.0}
 AT_THE_CUTS = (45, 54, 55, 56, 65)
-"""One whose scans all four shares have a part of, and its neighbours; the first and the last wait for a pose."""
+"""One whose scans all four shares have a part of, and its neighbours."""
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Fleet:
     def _parts(self):
         with open_session(NetworkConfig(connect=(self.endpoint,))) as session:
             keys = MapKeys("default")
-            assert within(SETTLED, lambda: len(parts(session, keys)) == len(SHARES)), "a share does not answer"
+            assert within(SETTLED, lambda: len(parts(session, keys)) == len(SHARES)), "one is silent"
             return parts(session, keys)
 
 
@@ -83,9 +83,7 @@ def _has_all(share: Mapper, count: int) -> bool:
 
 
 @contextmanager
-def _fleet(
-    folder: Path, robots: Iterable[int], rate: float, *, starting: float = 0.0
-) -> Iterator[Fleet]:
+def _fleet(folder: Path, robots: Iterable[int], rate: float, *, starting: float = 0.0) -> Iterator[Fleet]:
     endpoint = resolve_listen("tcp/127.0.0.1:0")
     with ExitStack() as opening:
         router = opening.enter_context(Service("tests.soak.router", endpoint))
