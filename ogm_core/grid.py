@@ -12,9 +12,10 @@ from ogm_core.cells.model import CellModel, Planes
 from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models.evidence import Evidence, observe
+from ogm_core.sensor_models.evidence import Evidence, may_be_refused, observe
 from ogm_core.sensor_models.one_call import OneCall
 from ogm_core.sensor_models.update_threads import UpdateThreads
+from ogm_core.shares import in_reach
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState
@@ -136,7 +137,9 @@ class OccupancyGrid:
         """
         time, aging = self._time_after(scan.stamp)
         try:
-            updates = self._add_at_once(scan, pose) if sweep is None else None
+            updates = 0 if self._is_elsewhere(PlacedScan(scan, pose, sweep)) else None
+            if updates is None and sweep is None:
+                updates = self._add_at_once(scan, pose)
             if updates is None:
                 # What the scan says: about which cells, and which of them are this map's.
                 evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
@@ -149,6 +152,21 @@ class OccupancyGrid:
         self._note(scan.stamp, time, aging)
         self.cell_updates += updates
         return updates
+
+    def _is_elsewhere(self, placed: PlacedScan) -> bool:
+        """Whether a scan reaches no cell of the clip, and is not refused: nobody looks at its beams then.
+
+        What limits count does not grow by it either.
+        """
+        extent, settings = self._extent, self.settings
+        if extent.clip is None or extent.stretched is None or may_be_refused(placed.scan, settings):
+            return False
+        reached = in_reach(placed, self.lattice, settings.distances[2])
+        return (
+            not reached.intersection(extent.clip).cells
+            and extent.stretched.contains(reached)
+            and extent.counted(reached) == reached
+        )
 
     def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
         """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""

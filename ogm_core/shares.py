@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm_core.errors import BadSetting
-from ogm_core.lattice import MAX_INDEX, TILE, Clip, Lattice, Region
+from ogm_core.lattice import MAX_INDEX, TILE, CellRect, Clip, Lattice, Region
 from ogm_core.placing.receipts import Whose
 from ogm_core.status import ShareInfo
-from ogm_core.types import PlacedScan
+from ogm_core.types import PlacedScan, Pose
 
 MAX_SHARES = 1024
 """So many shares a map may have."""
 _WHOLE = 1e-6
+_FAR = 2.0 * MAX_INDEX
 _ROUNDED = 2
 """So many cells farther than `reach` a scan may write at most: its ends are rounded to cells."""
 
@@ -117,6 +117,27 @@ def _edge(cut: float, axis: int, lattice: Lattice) -> int:
     return TILE * round(tiles)
 
 
+def in_reach(placed: PlacedScan, lattice: Lattice, reach: float) -> CellRect:
+    """The smallest rectangle of a lattice that holds every cell which a scan may write, whatever it measured.
+
+    `reach` of the map, m: the sensor's own takes its place. Infinite: far beyond what is addressed.
+    """
+    reach = reach if placed.scan.reach is None else placed.scan.reach
+    (xmin, xmax), (ymin, ymax) = ((at, at) for at in placed.pose[:2])
+    if placed.sweep is not None:
+        (xmin, ymin), (xmax, ymax) = (edge(placed.sweep.beams[:, :2], axis=0) for edge in (np.min, np.max))
+    by = reach / lattice.resolution + _ROUNDED
+    left, right = _span(xmin, xmax, by, lattice.anchor[0], lattice.resolution)
+    bottom, top = _span(ymin, ymax, by, lattice.anchor[1], lattice.resolution)
+    return CellRect(left, bottom, right - left, top - bottom)
+
+
+def _span(low: float, high: float, by: float, anchor: float, resolution: float) -> tuple[int, int]:
+    """First cell, and the one after the last, of an interval, m, that is widened by so many cells."""
+    first, last = (low - anchor) / resolution - by, (high - anchor) / resolution + by
+    return math.floor(max(first, -_FAR)), math.floor(min(last, _FAR)) + 1
+
+
 @dataclass(frozen=True, slots=True)
 class Ground:
     """The cells that one share owns, and how far scans reach, m: whose a placed scan is to count."""
@@ -130,20 +151,18 @@ class Ground:
 
         In the others the scan is at the `border` if it may reach cells of theirs, else `elsewhere`.
         """
-        at = np.array([placed.pose[:2]])
-        if self._meets(at, 0.0):
+        if self._holds(placed.pose):
             return "home"
-        reach = self.reach if placed.scan.reach is None else placed.scan.reach
-        along = at if placed.sweep is None else placed.sweep.beams[:, :2]
-        return "border" if self._meets(along, reach + _ROUNDED * self.lattice.resolution) else "elsewhere"
+        reached = in_reach(placed, self.lattice, self.reach).intersection(self.clip.rect)
+        return "border" if reached.cells else "elsewhere"
 
-    def _meets(self, points: NDArray[np.float64], by: float) -> bool:
-        """Whether the box around some points, m, widened on all sides, has a cell of the share."""
-        low = self.lattice.in_cells(points.min(axis=0) - by)
-        high = self.lattice.in_cells(points.max(axis=0) + by)
-        clip = self.clip
-        edges = ((clip.xmin, clip.xmax), (clip.ymin, clip.ymax))
-        return all(
-            (begin is None or last >= begin) and (end is None or first < end)
-            for (begin, end), first, last in zip(edges, low.tolist(), high.tolist(), strict=True)
+    def _holds(self, pose: Pose) -> bool:
+        """Also of poses so far away that cells are not addressed there."""
+        (ax, ay), resolution, clip = self.lattice.anchor, self.lattice.resolution, self.clip
+        return _within((pose.x - ax) / resolution, clip.xmin, clip.xmax) and _within(
+            (pose.y - ay) / resolution, clip.ymin, clip.ymax
         )
+
+
+def _within(at: float, begin: int | None, end: int | None) -> bool:
+    return (begin is None or at >= begin) and (end is None or at < end)

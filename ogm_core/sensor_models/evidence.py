@@ -130,10 +130,20 @@ def _passed(placed: PlacedScan, settings: GridSettings) -> Evidence:
     return Evidence(passing, (ends, weights))
 
 
+def may_be_refused(scan: Scan, settings: GridSettings) -> bool:
+    """Whether a scan could be refused for its many or long beams alone, which is seldom: known at once."""
+    counts = settings.cell_model.lengths
+    return may_be_too_large(scan, settings) or (counts and _may_be_too_long(scan, settings))
+
+
+def _may_be_too_long(scan: Scan, settings: GridSettings) -> bool:
+    reach = settings.distances[2] if scan.reach is None else scan.reach
+    return min(scan.range_max, reach) >= (MAX_COLUMNS - 2) * settings.resolution
+
+
 def _check_length(ends: NDArray[np.int64], scan: Scan, settings: GridSettings) -> None:
     """Refuse a scan with a beam across more cells than lines are exact for."""
-    reach = settings.distances[2] if scan.reach is None else scan.reach
-    if min(scan.range_max, reach) < (MAX_COLUMNS - 2) * settings.resolution:
+    if not _may_be_too_long(scan, settings):
         return
     across = np.abs(ends[[beams.IX, beams.IY]] - ends[[beams.IX0, beams.IY0]]).max(initial=0)
     if across >= SUBCELLS * (MAX_COLUMNS - 1):

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from ogm_core.errors import BadSetting
+from gathering import tiles_of_grid
+from ogm_core.cells.rate import Rate
+from ogm_core.errors import BadSetting, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Clip, Lattice, Region
@@ -56,8 +58,8 @@ def test_cuts_and_shares_that_cannot_be_are_refused():
         Cuts((1e300,)).check(TENTH)
 
 
-def scan_at(x, y, *, reach=None, ranges=(2.0,), sweep=None):
-    scan = Scan(0, 0.0, math.tau / len(ranges), 0.0, 8.0, np.array(ranges, np.float32), reach=reach)
+def scan_at(x, y, *, reach=None, ranges=(2.0,), sweep=None, stamp=0):
+    scan = Scan(stamp, 0.0, math.tau / len(ranges), 0.0, 8.0, np.array(ranges, np.float32), reach=reach)
     return PlacedScan(scan, Pose(x, y, 0.3), sweep)
 
 
@@ -107,3 +109,45 @@ def test_every_scan_has_one_home_and_changes_no_cell_where_it_is_elsewhere(senso
             seen.add((whose[k], updates > 0))
     assert ("border", True) in seen
     assert ("elsewhere", False) in seen
+
+
+def taken(grid, placed):
+    """Whether a map takes a scan."""
+    try:
+        grid.integrate(placed.scan, placed.pose)
+    except LimitReached:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    "made_of",
+    [{}, {"sensor_model": "sector"}, {"traversal": "dda"}, {"cell_model": Rate()}, {"half_life": 5.0}],
+)
+def test_who_does_not_look_at_scans_from_elsewhere_takes_and_refuses_the_same(monkeypatch, made_of):
+    """`max_cells` refuses the same scans at all shares, though some do not look at some of the scans."""
+    elsewhere, skipped = OccupancyGrid._is_elsewhere, []
+
+    def noted(grid, placed):
+        skipped.append(elsewhere(grid, placed))
+        return skipped[-1]
+
+    monkeypatch.setattr(OccupancyGrid, "_is_elsewhere", noted)
+    common = {"resolution": 0.1, "reach": 3.0, "max_cells": 24_000, **made_of}
+    whole = OccupancyGrid(GridSettings(**common))
+    grids = [OccupancyGrid(GridSettings(**common, share=Share(FOUR, k))) for k in range(4)]
+    rng, refused = np.random.default_rng(6), 0
+    for n in range(400):
+        x, y = rng.uniform((-8.0, -2.0), (8.0, 14.0))
+        placed = scan_at(x, y, stamp=n * 100_000_000, ranges=rng.uniform(0.1, 2.9, 24))
+        was_taken = taken(whole, placed)
+        assert [taken(grid, placed) for grid in grids] == [was_taken] * 4
+        refused += not was_taken
+        assert {grid._extent.stretched for grid in grids} == {whole._extent.stretched}
+    assert {grid.revision for grid in grids} == {whole.revision}
+    assert 40 < refused < 360
+    assert sum(skipped) > 60
+    together = {}
+    for grid in grids:
+        together |= tiles_of_grid(grid)
+    assert together == tiles_of_grid(whole)
