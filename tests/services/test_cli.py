@@ -21,7 +21,7 @@ from ogm_services.commands.simulator_options import SimulatorOptions
 MAP_FLAGS = (
     "--preset --resolution --sensor-model --cell-model --traversal --p-occ --p-free --p-prior "
     "--alpha --l-min --l-max --reach "
-    "--clear-range --cells --bounds --outside --half-life --sensor"
+    "--clear-range --cells --bounds --outside --half-life --free-below --sensor"
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --root-path --http-token-file"
@@ -42,7 +42,7 @@ FLAGS = {
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
-    "build": f"--threads --out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
+    "build": f"--threads --workers --out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
     "merge": "--out -o",
     "info": "--json",
     "get": "--out -o --at --url --map --zenoh-config --config",
