@@ -1,9 +1,11 @@
 """A map that is cut, put together of the parts that its shares answer with, by tile."""
 
 import msgpack
+import numpy as np
 import zenoh
 
 from ogm_core.grid import OccupancyGrid
+from ogm_core.lattice import TILE
 from ogm_core.tiles.changes import ChangedTiles
 from ogm_core.wire.map_update import decode_updates
 
@@ -53,3 +55,22 @@ def tiles_of_grid(grid: OccupancyGrid):
         tuple(place): tuple(planes[plane.name][n].tobytes() for plane in grid.model.planes)
         for n, place in enumerate(changed.places.tolist())
     }
+
+
+def grid_of(found, settings):
+    """The parts of all shares as one whole map, of these settings."""
+    tiles, (first, _) = gathered(found), next(iter(found.values()))
+    left, bottom = (min(place[k] for place in tiles) for k in (0, 1))
+    width, height = (1 + max(place[k] for place in tiles) - low for k, low in ((0, left), (1, bottom)))
+    planes = {}
+    for n, plane in enumerate(first[0].planes):
+        side = TILE * plane.side
+        cells = np.zeros((height * side, width * side), plane.dtype)
+        for (tx, ty), parts_of_planes in tiles.items():
+            row, column = (ty - bottom) * side, (tx - left) * side
+            tile = np.frombuffer(parts_of_planes[n], plane.dtype).reshape(side, side)
+            cells[row : row + side, column : column + side] = tile
+        planes[plane.name] = cells
+    grid = OccupancyGrid(settings, "gathered")
+    grid.begin_with(planes, (TILE * left, TILE * bottom))
+    return grid

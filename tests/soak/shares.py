@@ -5,8 +5,12 @@ process. The parts that the shares answer with are put together, and held agains
 scans make where nothing ever goes wrong.
 """
 
+import json
+import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -15,11 +19,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from benchmarks.running import ROOT, environment, line_after
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
+from ogm_core.files.map_files import encode_npz, read_npz
+from ogm_core.lattice import TILE
 from ogm_core.wire.keys import MapKeys
-from tests.gathering import gathered, parts, tiles_of_grid
+from ogm_services.settings.settings import Settings
+from tests.gathering import gathered, grid_of, parts, tiles_of_grid
 from tests.soak.drives import uninterrupted_grid
 from tests.soak.missed import SEED, SETTLED, TELLING, Happens, Outcome, within
+from tests.soak.overload import differing
 from tests.soak.services import Mapper, Robots, Service
 
 SHARES = range(4)
@@ -166,8 +175,70 @@ def shares_robots_killed(folder: Path, *, robots: Iterable[int], rate: float) ->
         return fleet.settled()
 
 
+def log_across_shares(
+    log: Path, built: Path, folder: Path, kills: int, *, rate: float, **flags: object
+) -> Outcome:
+    """Publish a log at so many scans a second, and kill shares meanwhile: the map is that of `ogm build`.
+
+    `built` is the map.npz that it has made of the log with the same `flags`; `wrong_cells` are cells.
+    """
+    chance, found, endpoint = random.Random(SEED), Outcome(), resolve_listen("tcp/127.0.0.1:0")
+    with ExitStack() as opening:
+        opening.enter_context(Service("tests.soak.router", endpoint))
+        shares = [Mapper(endpoint, folder / f"share{k}", "connect", flags | {"share": k}) for k in SHARES]
+        for share in shares:
+            opening.enter_context(share)
+        for share in shares:
+            share.wait_until_ready()
+        replaying = opening.enter_context(Service("tests.soak.replaying", endpoint, log, rate))
+        assert within(SETTLED, lambda: _told(replaying)[0] > 0), "nothing is published"
+        for _ in range(kills):
+            time.sleep(chance.uniform(0.3, 1.0))
+            share, before = chance.choice(shares), _told(replaying)[0]
+            share.end()
+            share.start()
+            share.wait_until_ready()
+            found.away.append(_told(replaying)[0] - before)
+        _, found.sent = _told(replaying)
+        within(SETTLED, lambda: all(_has_all(share, found.sent) for share in shares))
+        revisions = [share.status()["revision"] for share in shares]
+        found.integrated = max(revisions, key=lambda revision: abs(revision - found.sent))
+        with open_session(NetworkConfig(connect=(endpoint,))) as session:
+            gathered_map = parts(session, MapKeys("default"))
+        settings = Settings.model_validate({"map": {name: flags[name] for name in ("resolution", "reach")}})
+        again = read_npz(encode_npz(grid_of(gathered_map, settings.grid_settings()).snapshot()))
+        found.wrong_cells = differing(again, read_npz(built.read_bytes()))
+        for share in shares:
+            share.end()
+        found.counted = sum((share.counted for share in shares), Counter[str]())
+        return found
+
+
+def intel_across_shares(folder: Path, kills: int) -> Outcome:
+    """Intel's log at 30 Hz, cut in the middle of its map, which `ogm build` makes of it."""
+    log = Path(os.environ["OGM_DATASETS"]) / "intel" / "intel-corrected.log.gz"
+    flags = {"resolution": 0.05, "reach": 10.0}
+    made_of = [f"--{name}={value}" for name, value in flags.items()]
+    command = [sys.executable, "-m", "ogm_services", "build", log, "--out", folder / "built", *made_of]
+    subprocess.run(list(map(str, command)), cwd=ROOT, env=environment(), check=True, capture_output=True)
+    built = folder / "built" / "map.npz"
+    npz = read_npz(built.read_bytes())
+    height, width = npz.log_odds.shape
+    middle = npz.offset[0] + width // 2, npz.offset[1] + height // 2
+    cut_x, cut_y = (round(TILE * (at // TILE) * flags["resolution"], 9) for at in middle)
+    return log_across_shares(log, built, folder, kills, rate=30.0, cuts_x=cut_x, cuts_y=cut_y, **flags)
+
+
+def _told(replaying: Service) -> tuple[int, int]:
+    """Scans that were published, and how many there are."""
+    assert replaying.process is not None
+    replaying.process.stdin.write(b"\n")  # type: ignore[union-attr]
+    sent, count = json.loads(line_after(replaying.process, "sent "))
+    return sent, count
+
+
 def fleets(kills: int) -> dict[str, Happens]:
-    """What happens at full length, by what it is called."""
+    """What happens at full length, by what it is called; intel's log lies in OGM_DATASETS."""
     return {
         f"shares killed {kills} times, 100 robots at 2 Hz": partial(
             shares_killed, kills=kills, robots=range(100), rate=2.0
@@ -185,4 +256,7 @@ def fleets(kills: int) -> dict[str, Happens]:
             shares_router_killed, away=1.5, robots=range(100), rate=2.0
         ),
         "robots of shares killed, 3 at 20 Hz": partial(shares_robots_killed, robots=(45, 55, 65), rate=20.0),
+        f"shares killed {max(1, kills // 5)} times, intel's log at 30 Hz": partial(
+            intel_across_shares, kills=max(1, kills // 5)
+        ),
     }
