@@ -11,7 +11,7 @@ from typing import Any
 
 from ogm_core.types import Pose
 
-_ONLY_OF_SOME = {"store", "share", "of_others", "shares", "complete"}
+_ONLY_OF_SOME = {"store", "share", "of_others", "shares", "complete", "missing"}
 """Fields that the JSON has where they say something, and else has not."""
 GONE_AFTER = 60.0
 """How long a robot that is not alive is shown after its last message, s."""
@@ -212,6 +212,15 @@ class ShareInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class MissingPart:
+    """A share of a map that is missing in it: its bounds as in `ShareState`, and since when, ns."""
+
+    share: int
+    bounds: list[float | None]
+    since: int
+
+
+@dataclass(frozen=True, slots=True)
 class ShareState:
     """How a gateway finds a share of its map: `state` is "up", "missing", or "not storing".
 
@@ -258,6 +267,7 @@ class Status:
     share: ShareInfo | None = None
     shares: list[ShareState] | None = None
     complete: bool | None = None
+    missing: list[MissingPart] | None = None
 
 
 def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> bytes:

@@ -254,7 +254,7 @@ def test_docs_load_nothing_from_elsewhere(cross):
         assert len(cross.http.get(urljoin("/docs", address)).raise_for_status().content) > 100
 
 
-OF_SHARES = {"share", "of_others", "shares", "complete"}
+OF_SHARES = {"share", "of_others", "shares", "complete", "missing"}
 """What the statuses of shares, and of gateways, say alone."""
 
 

@@ -221,6 +221,25 @@ def test_parts_that_are_missing_are_named_and_grey_and_a_disk_that_fails_is_told
     assert "stored\trevision 7" in page.locator("#facts").inner_text().splitlines()
 
 
+def test_a_part_that_is_missing_reaches_to_the_edge_of_the_view_where_it_is_open(lab, look, eventually, keep):
+    watched = look(lab)
+    parts = [{"share": 3, "bounds": [None, None, 0.0, None], "since": 1_700_000_000_000_000_000}]
+    told = {**lab.get("status").json(), "missing": parts}
+    watched.page.route("**/status", lambda route: route.fulfill(json=told))
+    watched.open()
+    page = watched.page
+    eventually(page.get_by_role("alert").is_visible)
+    assert "share 3 does not answer" in page.get_by_role("alert").text_content()
+    page.get_by_label("last scans", exact=True).uncheck()
+    watched.settle()
+    assert watched.colour(0.95, -3.05) == "#fefefe"
+    grey = watched.colour(-1.05, -6.05)
+    assert grey not in ("#fefefe", "transparent")
+    keep(watched, "missing")
+    parts.clear()
+    eventually(lambda: watched.colour(-1.05, -6.05) == "#fefefe")
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_what_is_written_is_easy_to_read(lab, look, scheme):
     watched = look(lab, color_scheme=scheme)

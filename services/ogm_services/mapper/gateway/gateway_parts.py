@@ -1,6 +1,7 @@
 """Parts of a gateway: everything that it is made of once it is on the network, and how they are joined."""
 
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -25,9 +26,13 @@ from ogm_services.mapper.shares.gathered_views import followed_map, told_map
 from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.keeping_up import KeepingUp
 from ogm_services.mapper.shares.layout import ShareLayout
+from ogm_services.mapper.shares.shown_robots import ShownRobots
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
 from ogm_services.settings.settings import Settings
+
+WATCHED = 2.0
+"""So long after somebody has asked for what has changed scans are read that viewers may see, s."""
 
 
 class GatewayParts:
@@ -58,7 +63,13 @@ class GatewayParts:
         """A thread."""
         self.receipts = Receipts()
         """Where robots are; any thread."""
-        self.newest_scans = NewestScans(lambda: self.followed.now.epoch)
+        self.newest_scans = NewestScans(lambda: self.gathered.state.life[0])
+        """A thread notes them, any thread reads."""
+        self.robots = ShownRobots(
+            *(self.receipts, self.newest_scans, settings.placing_rules(), self.limits.beams),
+            watched=lambda: time.monotonic() - self.followed.asked < WATCHED,
+        )
+        """A thread."""
         self.monitor = Monitor(self.told)
         """A thread: how the map settles, and the true world."""
         self._make_answers(settings, session, timeout)

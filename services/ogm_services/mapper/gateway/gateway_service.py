@@ -71,9 +71,10 @@ def run_gateway(settings: Settings) -> None:
 class GatewayService:
     """A gateway with its threads, as a context manager: inside the `with` it answers.
 
-    Threads: one that gathers, the monitor (owns the series and the truth), one that tells followers what has
-    changed, one for HTTP's event loop with its pool, Zenoh's own, a small pool for its queries, and one that
-    makes rarely used kernels ready. All of them end with the `with`.
+    Threads: one that gathers, one that places robots and their scans for viewers, the monitor (owns the
+    series and the truth), one that tells followers what has changed, one for HTTP's event loop with its pool,
+    Zenoh's own, a small pool for its queries, and one that makes rarely used kernels ready. All of them end
+    with the `with`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -133,6 +134,8 @@ class GatewayService:
         parts.gathering.gather()
         opening.callback(parts.keeping_up.stop)
         parts.keeping_up.start()
+        opening.callback(parts.robots.stop)
+        parts.robots.start(session, parts.keys)
         routes.declare(parts.answers, parts.writes.by_name(), zenoh_threads)
         updates.start(session, parts.keys.updates)
         opening.callback(parts.monitor.stop)

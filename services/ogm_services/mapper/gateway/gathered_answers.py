@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from ogm_core.placing.receipts import Receipts
-from ogm_core.status import MapInfo, ShareState, Status
+from ogm_core.status import MapInfo, MissingPart, ShareState, Status
 from ogm_services.mapper.gateway.share_statuses import ShareStatuses
 from ogm_services.mapper.gateway.summed_status import OVERLOAD, summed
 from ogm_services.mapper.live.monitor import Monitor
@@ -117,7 +117,7 @@ class GatheredAnswers(Answers):
 
     def _new_status(self) -> Status:
         statuses = self._share_statuses()
-        sums, state = summed(statuses), self._gathering.newest.state
+        sums, (state, missing) = summed(statuses), self._gathering.newest
         now, extent = state.named, state.extent()
         shares = [self._state_of(share, statuses.get(share)) for share in range(self._gathered.layout.count)]
         overload = any(status.scans.dropped.get(OVERLOAD, 0) for status in statuses.values())
@@ -135,6 +135,7 @@ class GatheredAnswers(Answers):
             robots=sums.counts.robots,
             uptime_s=time.monotonic() - self._up_since,
             shares=shares,
+            missing=[MissingPart(each.share, list(each.bounds), each.since) for each in missing],
             complete=len(statuses) == len(shares)
             and not overload
             and all(s.state != "missing" for s in shares),

@@ -26,6 +26,10 @@ function trouble() {
     return ["bad", `Nothing from the mapper since ${clock(heard)}: what you see is from then. It goes on by itself.`];
   }
   if (status?.store?.failing) return ["warn", `The map is not stored at present: ${status.store.failing}`];
+  if (status?.missing?.length) {
+    const shares = status.missing.map(({share}) => share).join(", ");
+    return ["warn", `A part of the map is missing (grey): share ${shares} does not answer. What is shown there is from before.`];
+  }
   return [null, ""];
 }
 

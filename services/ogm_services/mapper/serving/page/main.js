@@ -78,7 +78,7 @@ function follow(told) {
 startPalettes();
 startTroubles();
 startPanel();
-startMissing();
+startMissing(() => page.canvas?.redraw());
 startBanner();
 startLayers();
 startCurves();
