@@ -1,5 +1,6 @@
 """Maps as classes of cells: occupied, free, undecided or unknown, whatever file they were saved in."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from ogm_core.cells.rate import PLANES, Rate
 from ogm_core.errors import BadMapFile
 from ogm_core.files.counted_maps import CountedMap, load_counts
 from ogm_core.files.map_files import MAX_NPZ_BYTES, Place, load_npz
-from ogm_core.lattice import Lattice
+from ogm_core.lattice import SAME_RESOLUTION, Lattice
 from ogm_core.quality.judged_map import four_classes
 from ogm_core.snapshot import MapSnapshot
 
@@ -26,12 +27,14 @@ CLASSES = ("unknown", "free", "undecided", "occupied")
 class ClassMap:
     """Classes of a map's cells, [iy, ix], row 0 south, where they lie, and what the map is called.
 
-    Free is what the map itself calls so.
+    Free is what the map itself calls so. `coarse`: the same map, if it counts, in the cells in which
+    beams were counted, twice as wide.
     """
 
     classes: NDArray[np.uint8]
     place: Place
     name: str
+    coarse: "ClassMap | None" = None
 
 
 def read_class_map(path: Path, tell: Callable[[str], None] = lambda _: None) -> ClassMap:
@@ -65,10 +68,27 @@ def _of_log_odds(path: Path) -> ClassMap:
 
 
 def _of_counts(counted: CountedMap, path: Path) -> ClassMap:
-    """Classes of the finest cells that counts tell of: exact, as log odds that are rounded are not."""
+    """Classes of the cells that counts tell of: exact, as log odds that are rounded are not."""
     cells = CellArrays(counted.planes, {plane.name: plane.side for plane in PLANES})
     lattice = Lattice(counted.resolution, counted.anchor)
     model = compiled(Rate(free_below=counted.free_below))
-    finest = MapSnapshot(cells, model, lattice, counted.offset, "", 0, None).finest()
-    place = Place(finest.lattice.resolution, counted.anchor, finest.offset)
-    return ClassMap(finest.encode(four_classes), place, str(path))
+    coarse = MapSnapshot(cells, model, lattice, counted.offset, "", 0, None)
+    return _of_snapshot(coarse.finest(), str(path), _of_snapshot(coarse, str(path)))
+
+
+def _of_snapshot(snapshot: MapSnapshot, name: str, coarse: ClassMap | None = None) -> ClassMap:
+    place = Place(snapshot.resolution, snapshot.lattice.anchor, snapshot.offset)
+    return ClassMap(snapshot.encode(four_classes), place, name, coarse)
+
+
+def in_cells_of_one_size(first: ClassMap, second: ClassMap) -> tuple[ClassMap, ClassMap]:
+    """Both maps, one that counts in its wider cells, if these are as wide as the other's."""
+    if first.coarse is not None and _as_wide(first.coarse, second):
+        return first.coarse, second
+    if second.coarse is not None and _as_wide(second.coarse, first):
+        return first, second.coarse
+    return first, second
+
+
+def _as_wide(one: ClassMap, other: ClassMap) -> bool:
+    return math.isclose(one.place.resolution, other.place.resolution, rel_tol=SAME_RESOLUTION)

@@ -64,6 +64,28 @@ def test_maps_of_counts_are_compared_in_their_fine_cells(two_maps):
         assert sum(found["cells"][name].values()) * 0.05**2 == pytest.approx(built[f"{name}_m2"])
 
 
+def test_maps_of_counts_are_compared_with_others_in_cells_as_wide(two_maps):
+    """Its own map.yaml has these cells; of log odds each cell counts once, whichever is first."""
+    ended = two_maps.call("compare", "counts/map.npz", "counts/map.yaml", "--json")
+    assert (ended.code, ended.err) == (0, "")
+    found = json.loads(ended.out)
+    assert (found["resolution"], found["iou"]) == (0.1, {"occupied": 1.0, "free": 1.0})
+    ended = two_maps.call("compare", "beams/map.npz", "counts/map.npz")
+    assert (ended.code, ended.err) == (0, "")
+    told = "counts/map.npz: in the cells of 0.1 m in which its beams were counted"
+    assert ended.out.splitlines()[0] == told
+    here, there = (
+        json.loads(two_maps.call("compare", *names, "--json").out)
+        for names in (("beams/map.npz", "counts/map.npz"), ("counts/map.npz", "beams/map.npz"))
+    )
+    assert here["cells"]["free"]["occupied"] == there["cells"]["occupied"]["free"]
+    assert here["alike"] == there["alike"] > 0.9
+    a, _, _ = states(two_maps.folder, "beams")
+    assert sum(here["cells"]["free"].values()) == np.sum(a == 1)
+    own = json.loads(two_maps.call("compare", "counts/map.npz", "fine/map.npz", "--json").out)
+    assert own["resolution"] == 0.05
+
+
 def test_the_picture_covers_both_maps(two_maps):
     ended = two_maps.call("compare", "beams/map.npz", "areas/map.npz", "--picture", "differ.png")
     assert (ended.code, ended.err) == (0, "")

@@ -44,20 +44,26 @@ def compare(
     with running_service(interrupted=INTERRUPTED):
         with loading():
             from ogm_core.quality import comparison
-            from ogm_core.quality.class_maps import read_class_map
+            from ogm_core.quality.class_maps import in_cells_of_one_size, read_class_map
         tell = partial(typer.echo, err=True)
-        maps = read_class_map(first, tell), read_class_map(second, tell)
+        read = read_class_map(first, tell), read_class_map(second, tell)
+        maps = in_cells_of_one_size(*read)
         found = comparison.compare(*maps)
         if picture is not None:
             content = comparison.encode_difference(*maps)
             with written(picture, _PICTURE):
                 write_files({picture: content})
-    figures = _figures(found)
+    figures = {"resolution": maps[0].place.resolution, **_figures(found)}
     if as_json:
         typer.echo(json.dumps(figures, indent=2))
     else:
+        wider = [
+            f"{one.name}: in the cells of {one.place.resolution:g} m in which its beams were counted"
+            for one, finest in zip(maps, read, strict=True)
+            if one is not finest
+        ]
         drawn = [] if picture is None else [f"{picture}: {comparison.PICTURE}"]
-        typer.echo("\n".join([*_lines(figures, str(first), str(second)), *drawn]))
+        typer.echo("\n".join([*wider, *_lines(figures, str(first), str(second)), *drawn]))
 
 
 def _figures(found: "Comparison") -> dict[str, Any]:
