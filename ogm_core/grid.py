@@ -175,7 +175,7 @@ class OccupancyGrid:
             return None
         place = self._extent, self._store, self.max_bytes, self.revision + 1
         updates = self._one_call.integrate(scan, pose, *place)
-        if threads is not None and updates is not None:
+        if threads is not None and updates is not None and updates >= threads.worth_sharing:
             threads.alone(beams, updates)
         return updates
 

@@ -47,8 +47,10 @@ class UpdateThreads:
         """No thread runs before the first scan with work of `least_cells` for each of two."""
         self.count = count
         self._least = float(least_cells)
-        self._work = [float("inf")] * _SIZES
-        """How much work the last scan was of up to 2^k beams, by k."""
+        self.worth_sharing = 2.0 * least_cells
+        """From how much work on a scan is shared, in cells along beams."""
+        self._worth = [count > 1] * _SIZES
+        """Whether the last scan of up to 2^k beams was that much work, by k."""
         self._rest = self._resting = 0
         """How many large scans one thread takes alone after one that did not pay, and how many are left."""
         self._updating = threading.Lock()
@@ -70,16 +72,14 @@ class UpdateThreads:
 
     def wanted(self, beams: int) -> bool:
         """Whether a scan of so many beams may be worth sharing: the last of about as many was."""
-        return not self._resting and self._large(self._work[beams.bit_length()])
+        return self._worth[beams.bit_length()] and not self._resting
 
     def alone(self, beams: int, work: float) -> None:
-        """Note how much work it was that one thread has done alone for a scan, in cells along beams."""
-        self._work[beams.bit_length()] = work
-        if self._resting and self._large(work):
+        """Note how much work it was that one thread has done for a scan; of small ones it need not be told."""
+        large = self.count > 1 and work >= self.worth_sharing
+        self._worth[beams.bit_length()] = large
+        if large and self._resting:
             self._resting -= 1
-
-    def _large(self, work: float) -> bool:
-        return self.count > 1 and work >= 2.0 * self._least
 
     def update(
         self,
@@ -109,7 +109,6 @@ class UpdateThreads:
         with self._updating:
             updates = self._share(_Scan(model, evidence, store, window, revision, cuts))
         store.tiles_used += int(np.count_nonzero(met) - before)
-        self._work[beams.bit_length()] = updates * evidence.kernels.CELL_WORK
         return updates
 
     def _cuts(self, evidence: Evidence, window: CellRect) -> list[int]:

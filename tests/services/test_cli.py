@@ -42,7 +42,8 @@ FLAGS = {
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
-    "build": f"--threads --workers --out --hold-out --world --figure --config --print-config {MAP_FLAGS} {LOG_FLAGS}",
+    "build": "--threads --workers --out --hold-out --world --figure --config --print-config "
+    f"{MAP_FLAGS} {LOG_FLAGS}",
     "merge": "--out -o",
     "info": "--json",
     "get": "--out -o --at --url --map --zenoh-config --config",
