@@ -63,9 +63,7 @@ def _large(work: Workload, rounds: int) -> list[Result]:
         tasks = fill_map, fill_new_map, compute
         measured = [(task, count) for task in tasks for count in (1, 2)] + [(share, 1)]
         best = fastest({task: partial(wall_time, *task) for task in measured}, rounds)
-    maps, new_maps, alone = (
-        2.0 * best[task, 1] / best[task, 2] for task in (fill_map, fill_new_map, compute)
-    )
+    maps, new_maps, alone = (2.0 * best[task, 1] / best[task, 2] for task in tasks)
     one_map = best[fill_map, 1] / best[share, 1]
     group = "two threads, times the speed of one"
     return [

@@ -46,8 +46,8 @@ __all__ = ["extent", "strip_work", "touch_tiles", "update_planes"]
 
 CUT = 32
 """Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
-CELL_WORK = 1.0
-"""How much work a cell is: one along a beam is 1."""
+CELL_WORK = 1.6
+"""How much work a cell is: one along a beam of log odds is 1."""
 _LONGEST_PIECE = 4000
 """Rows that are walked in one go: addresses in fixed point stay below 2^63."""
 _MOST_CARRIES = 2**16 - 1

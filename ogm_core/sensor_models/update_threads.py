@@ -20,7 +20,7 @@ from ogm_core.sensor_models.strip_work import even_cuts
 from ogm_core.tiles.parts import StorePart, part_of_window
 from ogm_core.tiles.store import TILE, TileStore
 
-LEAST_CELLS = 60_000
+LEAST_CELLS = 80_000
 """To wake up a thread for less work takes longer than it saves; cells along beams."""
 _AHEAD = 1 / 6
 """Of that, the calling thread has updated so many before the others have woken up."""
@@ -75,7 +75,7 @@ class UpdateThreads:
         return self._worth[beams.bit_length()] and not self._resting
 
     def alone(self, beams: int, work: float) -> None:
-        """Note how much work it was that one thread has done for a scan; of small ones it need not be told."""
+        """Note how much work it was that one thread has done for a scan; small ones need not be told of."""
         large = self.count > 1 and work >= self.worth_sharing
         self._worth[beams.bit_length()] = large
         if large and self._resting:
