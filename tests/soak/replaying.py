@@ -8,6 +8,7 @@ import json
 import sys
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +35,7 @@ class Replaying:
         network = NetworkConfig(connect=(endpoint,), connect_timeout=60.0)
         self._session = self._open.enter_context(open_session(network))
         self._robots: dict[str, RobotPublisher] = {}
+        self._seqs: Counter[tuple[str, str | None]] = Counter()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._publish_all)
         self._thread.start()
@@ -60,10 +62,13 @@ class Replaying:
                 recorded.robot, session=self._session, run=RUN, cache_samples=len(self._messages)
             )
             self._robots[recorded.robot] = self._open.enter_context(robot)
+        sensor = None if isinstance(recorded, RecordedPose) else recorded.sensor
+        seq = self._seqs[recorded.robot, sensor]  # its own may be missing
+        self._seqs[recorded.robot, sensor] += 1
         if isinstance(recorded, RecordedPose):
-            robot.put_pose(replace(recorded.message, run=RUN))
+            robot.put_pose(replace(recorded.message, run=RUN, seq=seq))
         else:
-            robot.put_scan(recorded.sensor, replace(recorded.message, run=RUN))
+            robot.put_scan(recorded.sensor, replace(recorded.message, run=RUN, seq=seq))
             self.sent += 1
 
 
