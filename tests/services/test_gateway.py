@@ -210,19 +210,21 @@ def test_the_status_adds_up_what_the_shares_have_counted(fleet):
     _, http = fleet.gateway()
     for k, served in enumerate(fleet.shares):
         dropped = {"limit": k, "no_pose": 2}
-        served.scans = {"received": 40, "integrated": 5 + k, "pending": 0, "dropped": dropped, "lost": 3}
+        served.scans = {"received": 40, "integrated": 5 + k, "pending": 6, "dropped": dropped, "lost": 3}
     status = http.get("/status").json()
     scans = status["scans"]
     assert (scans["received"], scans["integrated"], scans["lost"]) == (40, 26, 3)
     assert (scans["dropped"]["limit"], scans["dropped"]["no_pose"]) == (6, 2)
-    assert scans["pending"] == 40 - 26 - 8
+    assert scans["pending"] == 6
     assert status["map_info"]["known_cells"] == fleet.one.snapshot().known_cells
     assert status["complete"] is True
     assert [(s["share"], s["state"], s["revision"]) for s in status["shares"]] == [
         (k, "up", 6) for k in range(4)
     ]
     assert status["shares"][1]["bounds"] == [0.0, None, None, 0.0]
-    fleet.shares[3].scans["dropped"] = {"overload": 1}
+    fleet.shares[3].scans["integrated"] = 0  # it was started again
+    assert http.get("/status").json()["complete"] is False
+    fleet.shares[3].scans |= {"integrated": 11, "dropped": {"overload": 1}}
     fleet.shares[2].store = StoreInfo(3, "disk full", 10)
     status = http.get("/status").json()
     assert status["complete"] is False

@@ -136,9 +136,7 @@ class GatheredAnswers(Answers):
             uptime_s=time.monotonic() - self._up_since,
             shares=shares,
             missing=[MissingPart(each.share, list(each.bounds), each.since) for each in missing],
-            complete=len(statuses) == len(shares)
-            and not overload
-            and all(s.state != "missing" for s in shares),
+            complete=sums.balanced and not overload and len(statuses) == len(shares),
         )
 
     def _share_statuses(self) -> dict[int, Status]:

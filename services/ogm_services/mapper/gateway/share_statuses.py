@@ -10,7 +10,7 @@ from ogm_client.status_reply import read_status
 from ogm_client.transport import mapper_error
 from ogm_core.status import Status
 from ogm_core.wire.keys import MapKeys, ShareService
-from ogm_services.mapper.shares.share_answers import ask_shares
+from ogm_services.mapper.shares.share_answers import Asked, ask_shares
 from ogm_services.runtime.limited_log import LimitedLog
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,8 @@ class ShareStatuses:
 
     def _asked(self, service: ShareService, shares: Iterable[int], timeout: float) -> dict[int, Status]:
         found: dict[int, Status] = {}
-        for answer in ask_shares(self._session, self._keys, service, dict.fromkeys(shares, ""), timeout):
+        asked = dict.fromkeys(shares, Asked("", timeout))
+        for answer in ask_shares(self._session, self._keys, service, asked):
             try:
                 if answer.refused:
                     raise mapper_error(service, answer.payload)

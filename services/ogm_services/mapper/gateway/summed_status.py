@@ -33,6 +33,15 @@ class Sums:
     known_cells: int
     bytes: int
 
+    @property
+    def balanced(self) -> bool:
+        """Whether every scan that was received is in the sums: not while one share is ahead of another.
+
+        Nor after one of them was started again, which counts anew.
+        """
+        scans = self.counts.scans
+        return scans.received == scans.integrated + scans.pending + sum(scans.dropped.values())
+
 
 def summed(statuses: Mapping[int, Status]) -> Sums:
     """The counts of some shares, by share, as those of one mapper."""
@@ -65,12 +74,14 @@ def _placed(told: Sequence[ScanCounts] | Sequence[SourceStatus]) -> _Placed:
         reason: sum(counts.dropped.get(reason, 0) for counts in (told if reason in BY_HOME else told[:1]))
         for reason in reasons
     }
-    integrated = sum(counts.integrated for counts in told)
-    decided = integrated + sum(dropped.values())
-    # One share may be ahead of the first: what it has integrated has been received.
-    received = max(first.received, decided)
-    beams = sum(counts.beams_on_robots for counts in told)
-    return _Placed(received, integrated, received - decided, dropped, beams)
+    return _Placed(
+        received=first.received,
+        integrated=sum(counts.integrated for counts in told),
+        # Each waits in all shares until its place is known.
+        pending=max(counts.pending for counts in told),
+        dropped=dropped,
+        beams_on_robots=sum(counts.beams_on_robots for counts in told),
+    )
 
 
 def _scans(told: Sequence[ScanCounts]) -> ScanCounts:

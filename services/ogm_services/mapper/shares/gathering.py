@@ -12,12 +12,12 @@ from ogm_core.errors import BadMessage, OgmError, printable
 from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.map_update import MapUpdate, decode_updates
 from ogm_services.mapper.shares.gathered_map import Gathered, GatheredMap, OtherMap
-from ogm_services.mapper.shares.share_answers import ShareAnswer, ask_shares
+from ogm_services.mapper.shares.share_answers import Asked, ShareAnswer, ask_shares
 from ogm_services.mapper.shares.share_parts import MissingShare
 from ogm_services.runtime.limited_log import LimitedLog
 
 LEAST = 0.05
-"""A gathering waits at least so long, s, however long its turn took to come."""
+"""A share that has kept silent is waited for so long at least, s, by who has waited for that already."""
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ class Gathering:
             if self._begun < asked:
                 self._begun = self._clock()
                 left = asked + self._timeout - self._begun
-                self.newest = self._ask(max(left, min(LEAST, self._timeout)))
+                self.newest = self._ask(min(max(left, LEAST), self._timeout))
             return self.newest
 
     @property
@@ -87,11 +87,16 @@ class Gathering:
             MissingShare(share, layout.bounds(share), since) for share, since in sorted(self._since.items())
         )
 
-    def _ask(self, timeout: float) -> Result:
-        parts = self._gathered.state.parts
-        asked = {share: f"since={part.tag}" if part else "" for share, part in enumerate(parts)}
+    def _ask(self, silent_for: float) -> Result:
+        """Gather; those that did not answer the gathering before are waited for `silent_for` s alone."""
+        asked = {
+            share: Asked(
+                f"since={part.tag}" if part else "", silent_for if share in self._since else self._timeout
+            )
+            for share, part in enumerate(self._gathered.state.parts)
+        }
         newest: dict[int, str] = {}
-        for answer in ask_shares(self._session, self._keys, "part", asked, timeout):
+        for answer in ask_shares(self._session, self._keys, "part", asked):
             try:
                 updates = self._read(answer)
                 if self._is_newer(answer.share, updates[0].run, newest.get(answer.share)):

@@ -11,6 +11,8 @@ import zenoh
 from ogm_core.wire.keys import MapKeys, ShareService
 
 MAX_ATTACHMENT = 4096
+_TIMED_OUT = b"Timeout"
+"""Zenoh's own error reply, when a queryable took the query and did not finish in time."""
 _AT_ONCE = 0.001
 """The least time that is given, s: Zenoh takes 0 for its own default."""
 
@@ -29,39 +31,42 @@ class ShareAnswer(NamedTuple):
     """Whether the payload says why there is no answer."""
 
 
+class Asked(NamedTuple):
+    """What a share is asked for, as parameters, and how long it is waited for, s."""
+
+    parameters: str
+    timeout: float
+
+
 def ask_shares(
-    session: zenoh.Session,
-    keys: MapKeys,
-    service: ShareService,
-    asked: Mapping[int, str],
-    timeout: float,
+    session: zenoh.Session, keys: MapKeys, service: ShareService, asked: Mapping[int, Asked]
 ) -> Iterator[ShareAnswer]:
-    """Ask shares, each with its parameters, and yield what comes, in any order, for `timeout` s at most.
+    """Ask shares at once, and yield what comes in time, in any order.
 
     It ends as soon as every mapper that Zenoh knows has answered. Two mappers of a share both answer.
     """
     heard: _Heard = queue.SimpleQueue()
-    deadline = time.monotonic() + max(timeout, _AT_ONCE)
-    for share, parameters in asked.items():
-        handler = _handler(heard, share)
+    begun, until = time.monotonic(), {}
+    for share, (parameters, timeout) in asked.items():
+        until[share] = begun + max(timeout, _AT_ONCE)
         session.get(
             zenoh.Selector(keys.share(share, service), parameters),
-            handler,
+            _handler(heard, share),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=max(timeout, _AT_ONCE),
         )
-    open_questions = len(asked)
-    while open_questions:
+    while until:
+        # To the last one that is waited for.
         try:
-            share, reply = heard.get(timeout=max(deadline - time.monotonic(), _AT_ONCE))
+            share, reply = heard.get(timeout=max(max(until.values()) - time.monotonic(), _AT_ONCE))
         except queue.Empty:
             return
         if reply is None:
-            open_questions -= 1
+            until.pop(share, None)
         elif reply.ok is not None:
             yield ShareAnswer(share, reply.ok.payload.to_bytes(), _told(reply.ok.attachment), refused=False)
-        elif reply.err is not None:
+        elif reply.err is not None and reply.err.payload.to_bytes() != _TIMED_OUT:
             yield ShareAnswer(share, reply.err.payload.to_bytes(), {}, refused=True)
 
 
