@@ -114,19 +114,41 @@ def counted_from(window: CellRect, ends: NDArray[np.int64], b: int) -> tuple[int
 def clipped_line(
     i0: int, j0: int, i1: int, j1: int, width: int, height: int
 ) -> tuple[bool, int, int, int, int, int, int, int]:
-    """What is needed to walk a line inside [0, width) x [0, height).
+    """What is needed to walk a line inside [0, width) x [0, height): see `walk_inside`."""
+    di, dj = abs(i1 - i0), abs(j1 - j0)
+    bias, step = fixed_point(max(di, dj, 1), min(di, dj))
+    return walk_inside(i0, j0, i1, j1, bias, step, width, height)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def walk_inside(
+    i0: int, j0: int, i1: int, j1: int, bias: int, step: int, width: int, height: int
+) -> tuple[bool, int, int, int, int, int, int, int]:
+    """What is needed to walk a line of this bias and step inside [0, width) x [0, height).
 
     Returns whether i is the major axis, the signs of i and j, M, bias and step of the fixed-point minor
     coordinate, and the first and last step inside; first > last if there is none.
     """
     di, dj = abs(i1 - i0), abs(j1 - j0)
     si, sj = 1 if i1 > i0 else -1, 1 if j1 > j0 else -1
-    major, minor = max(di, dj), min(di, dj)
+    major = max(di, dj)
     if major == 0:
         return True, si, sj, 0, 0, 0, 1, 0
-    bias, step = fixed_point(major, minor)
     first, last = clip(i0, j0, i1, j1, bias, step, width, height)
     return di >= dj, si, sj, major, bias, step, first, last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fixed_points(ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Bias and step of the lines of all beams, int64, shape (2, N).
+
+    They are computed together, many at once: one by one each would wait until the line before is walked.
+    """
+    found = np.empty((2, ends.shape[1]), np.int64)
+    for b in range(ends.shape[1]):
+        di, dj = abs(ends[IX, b] - ends[IX0, b]), abs(ends[IY, b] - ends[IY0, b])
+        found[0, b], found[1, b] = fixed_point(max(di, dj, 1), min(di, dj))
+    return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -236,14 +258,15 @@ def update_cells(
     """
     window, west = CellRect(*window), column[0] & (TILE - 1)
     updates = fresh = 0
+    lines = _fixed_points(ends)
     for b in range(ends.shape[1]):
         if ends[KIND, b] == SKIPPED:
             continue
         i0, j0, i1, j1 = counted_from(window, ends, b)
         if max(i0, i1) < 0 or min(i0, i1) >= window.width:
             continue  # in another thread's strips, most often (see update_threads)
-        along_i, si, sj, major, bias, step, first, last = clipped_line(
-            i0, j0, i1, j1, window.width, window.height
+        along_i, si, sj, major, bias, step, first, last = walk_inside(
+            i0, j0, i1, j1, lines[0, b], lines[1, b], window.width, window.height
         )
         if first > last:
             continue
