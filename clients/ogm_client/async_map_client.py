@@ -15,6 +15,7 @@ from ogm_client.follower import MapFollower
 from ogm_client.map_change import Change
 from ogm_client.map_client import DEFAULT_INTERVAL, DEFAULT_PATIENCE, MapClient, check_watch
 from ogm_client.map_grid import MapGrid
+from ogm_client.parameters import Resolution
 from ogm_client.transport import Version
 
 _THREADS = 8
@@ -73,11 +74,11 @@ class AsyncMapClient:
 
     @asynccontextmanager
     async def follow(
-        self, *, interval: float = DEFAULT_INTERVAL, coarse: bool = False
+        self, *, interval: float = DEFAULT_INTERVAL, resolution: Resolution = "fine"
     ) -> AsyncIterator["AsyncMapFollower"]:
         """Follow the map, as `MapClient.follow`: `async with mapper.follow() as follower`."""
         follower = await self._opened_in_thread(
-            partial(self._opened.follow, interval=interval, coarse=coarse)
+            partial(self._opened.follow, interval=interval, resolution=resolution)
         )
         try:
             yield AsyncMapFollower(follower, self._in_thread)
@@ -86,11 +87,15 @@ class AsyncMapClient:
             await asyncio.to_thread(follower.close)
 
     async def watch(
-        self, interval: float = DEFAULT_INTERVAL, patience: float = DEFAULT_PATIENCE
+        self,
+        interval: float = DEFAULT_INTERVAL,
+        patience: float = DEFAULT_PATIENCE,
+        *,
+        resolution: Resolution = "fine",
     ) -> AsyncIterator[MapGrid]:
         """Yield the map at once, and again whenever it has changed, as `MapClient.watch`."""
         check_watch(interval, patience)
-        async with self.follow(interval=interval) as follower:
+        async with self.follow(interval=interval, resolution=resolution) as follower:
             seen: Version | None = None
             while True:
                 grid = await follower.next_grid(seen, patience)

@@ -43,7 +43,7 @@ class MapFollower(FollowedMap):
     ) -> None:
         """Take the map, which takes `max_bytes` at most; where nothing is told, ask every `interval` s.
 
-        `coarse`: as `MapClient.follow` takes it.
+        `coarse`: of a map that counts, the cells that it counts in, not their halves.
 
         Raises:
             ClientError: as every request.

@@ -15,7 +15,7 @@ from ogm_client.errors import BadReply, PartialMap
 from ogm_client.follower import MapFollower
 from ogm_client.map_grid import MapGrid
 from ogm_client.map_queries import MapQueries
-from ogm_client.parameters import Value, texts
+from ogm_client.parameters import Resolution, Value, is_coarse, texts
 from ogm_client.session import NetworkConfig
 from ogm_client.status_reply import read_erasure, read_snapshot, read_snapshots, read_status
 from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
@@ -82,20 +82,30 @@ class MapClient(MapQueries):
         self._transport = _transport(address, zenoh_config, map_name, limits, session, token)
 
     def get_map(
-        self, region: ArrayLike | None = None, *, at: str | None = None, partial: bool = False
+        self,
+        region: ArrayLike | None = None,
+        *,
+        at: str | None = None,
+        partial: bool = False,
+        resolution: Resolution = "fine",
     ) -> MapGrid:
         """The map, or the part of it that covers `region`: (xmin, ymin, xmax, ymax), m, rounded outward.
 
         `at`: the map as it was saved under that name. A map without a known cell has shape (0, 0).
+        `resolution`: of a map that counts "fine" are halves of the cells that it counts in, "coarse" those
+        cells, as wide as its mapper was told; of all others both are the same.
 
         `partial`: also one of which shares are missing (see docs/fleet.md), which its `missing` names.
 
         Raises:
+            BadParameter: there is no such resolution, or a parameter cannot be sent.
             MapperError: the region is inverted, not finite, or wholly outside the map; or no map is saved
                 under the name ("unknown-snapshot").
             PartialMap: shares are missing, and it is not asked for such a map.
         """
-        grid = self._grid(self._transport.fetch_map(texts({"region": region, "at": at})))
+        wanted = "coarse" if is_coarse(resolution) else None
+        given = texts({"region": region, "at": at, "resolution": wanted})
+        grid = self._grid(self._transport.fetch_map(given))
         if grid.missing and not partial:
             raise PartialMap(grid, grid.missing)
         return grid
@@ -132,7 +142,7 @@ class MapClient(MapQueries):
         """The cell at the point (x, y), m: `{x, y, ix, iy, known, log_odds, probability}`."""
         return json_object("cell", self.fetch("cell", x=x, y=y))
 
-    def follow(self, *, interval: float = DEFAULT_INTERVAL, coarse: bool = False) -> MapFollower:
+    def follow(self, *, interval: float = DEFAULT_INTERVAL, resolution: Resolution = "fine") -> MapFollower:
         """Follow the map: a copy that is kept up to date by what changes, and says what that is.
 
             with mapper.follow() as follower:
@@ -141,30 +151,35 @@ class MapClient(MapQueries):
 
         The copy's tiles may take `max_bytes`. Over Zenoh the mapper tells what changes, within a tenth of a
         second; over HTTP it is asked every `interval` seconds, and so it is where access control keeps that
-        from being heard. `coarse`: of a map that counts, cells as wide as its mapper was told, which it
-        counts in, not their halves.
+        from being heard. `resolution` as of `get_map`.
 
         Raises:
-            BadParameter: the interval is not a positive number.
+            BadParameter: the interval is not a positive number, or there is no such resolution.
         """
         _check_interval(interval)
-        return MapFollower(self._transport, self._max_bytes, interval, coarse=coarse)
+        return MapFollower(self._transport, self._max_bytes, interval, coarse=is_coarse(resolution))
 
     def watch(
-        self, interval: float = DEFAULT_INTERVAL, patience: float = DEFAULT_PATIENCE
+        self,
+        interval: float = DEFAULT_INTERVAL,
+        patience: float = DEFAULT_PATIENCE,
+        *,
+        resolution: Resolution = "fine",
     ) -> Iterator[MapGrid]:
         """Yield the map at once, and again whenever it has changed; looks every `interval` seconds.
 
         Only what has changed is sent (see `follow`). That of a mapper which was started anew is: only its
         `run` may tell it from the one before. A mapper that is away after the first map, or that starts,
         stops or is busy (503), is waited for: `patience` seconds, 0 not at all, math.inf for ever; then what
-        was wrong is raised. Ends only by an error or with the loop around it.
+        was wrong is raised. Ends only by an error or with the loop around it. `resolution` as of `get_map`.
 
         Raises:
-            BadParameter: the interval is not a positive number, or the patience is negative or none.
+            BadParameter: the interval is not a positive number, the patience is negative or none, or there is
+                no such resolution.
         """
         check_watch(interval, patience)
-        return self._watch(interval, patience)
+        is_coarse(resolution)
+        return self._watch(interval, patience, resolution)
 
     def reset(self) -> None:
         """Empty the map: a new epoch begins."""
@@ -235,8 +250,8 @@ class MapClient(MapQueries):
     ) -> None:
         self.close()
 
-    def _watch(self, interval: float, patience: float) -> Iterator[MapGrid]:
-        with self.follow(interval=interval) as follower:
+    def _watch(self, interval: float, patience: float, resolution: Resolution) -> Iterator[MapGrid]:
+        with self.follow(interval=interval, resolution=resolution) as follower:
             seen: Version | None = None
             while True:
                 grid = follower.next_grid(seen, patience)

@@ -2,7 +2,7 @@
 
 import numbers
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, get_args
 
 from numpy.typing import ArrayLike
 
@@ -10,6 +10,22 @@ from ogm_core.errors import BadParameter
 
 Value = str | ArrayLike | None
 """A request's parameter: a text, a number, numbers that belong together (a region), None for "not given"."""
+
+Resolution = Literal["fine", "coarse"]
+"""Cells of a map that counts: halves of those that it counts in, or these themselves."""
+
+
+def is_coarse(resolution: Resolution) -> bool:
+    """Whether the wider cells are meant.
+
+    Raises:
+        BadParameter: it is something else.
+    """
+    if resolution not in get_args(Resolution):
+        raise BadParameter(
+            f"resolution: one of {', '.join(get_args(Resolution))} is needed, got {resolution!r}"
+        )
+    return resolution == "coarse"
 
 
 def texts(parameters: Mapping[str, Value]) -> dict[str, str]:

@@ -72,7 +72,7 @@ class MapChannel:
                 self._subscribed.clear()
                 continue
             try:
-                with self._client.follow(interval=PERIOD, coarse=True) as follower:
+                with self._client.follow(interval=PERIOD, resolution="coarse") as follower:
                     self._show(follower)
             except (CannotConnect, NobodyAnswered):
                 pass  # whoever asks for the status says so
