@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ogm_core.errors import BadMessage
-from ogm_core.files.map_files import encode_npz
+from ogm_core.files.map_files import encode_npz, encode_pgm
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Lattice
@@ -62,6 +62,14 @@ def test_parts_of_shares_are_the_map_of_one_mapper_byte_for_byte(layout):
         for snapshot in (fleet.gathered.told(state), fleet.gathered.followed(state)):
             assert encode_npz(snapshot) == encode_npz(whole)
             assert snapshot.stamp == whole.stamp
+
+
+def test_shares_that_call_less_free_are_gathered_by_a_gateway_that_does_so():
+    fleet = Fleet(replace(SETTINGS, cell_model=replace(SETTINGS.cell_model, free_below=0.05)))
+    fleet.integrate(4)
+    gathered = fleet.gathered.told(fleet.gather())
+    assert encode_pgm(gathered) == encode_pgm(fleet.one.snapshot())
+    assert encode_pgm(gathered) != encode_pgm(replace(gathered, model=SETTINGS.cell_model))
 
 
 def test_names_are_hashes_of_what_the_shares_are_called():
@@ -198,6 +206,7 @@ def test_of_missing_shares_all_is_unknown_and_the_map_has_no_name():
         (GridSettings(anchor=(0.5, 0.0)), "anchor is"),
         (GridSettings(cell_model=type(SETTINGS.cell_model)("float64")), "cells is"),
         (GridSettings(cell_model=type(SETTINGS.cell_model)(p_prior=0.4)), "cell model is"),
+        (GridSettings(cell_model=type(SETTINGS.cell_model)(free_below=0.05)), "'free_below': 0.05"),
     ],
 )
 def test_parts_of_another_map_are_refused_by_name(settings, named):

@@ -156,7 +156,7 @@ class GatheredMap:
             ("resolution", first.lattice.resolution, lattice.resolution),
             ("anchor", first.lattice.anchor, lattice.anchor),
             ("cells", _planes_in_words(first.planes), _planes_in_words(model.planes)),
-            ("cell model", dict(first.model), model.described),
+            ("cell model", dict(first.model), model.told),
         ):
             if told != ours:
                 raise OtherMap(f"its {name} is {told}, and this gateway's {ours}: give both the same")
