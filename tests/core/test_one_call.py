@@ -140,7 +140,7 @@ def test_what_was_erased_stretches_the_map_again(taken):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"sensor_model": "sector"}, {"half_life": 60.0}, {"cell_model": Rate()}], ids=str
+    "changes", [{"sensor_model": "sector"}, {"half_life": 60.0}, {"cell_model": Rate()}], ids=",".join
 )
 def test_other_maps_have_no_such_way(changes):
     grid, _ = grids(**changes)
