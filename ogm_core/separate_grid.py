@@ -9,6 +9,7 @@ the largest number that a plane holds: in whatever order scans come, the sum is 
 To leave one out, the tiles that it has written are summed anew, of those of the others.
 """
 
+import sys
 from collections.abc import Callable, Iterable
 from functools import reduce
 from itertools import groupby
@@ -20,11 +21,11 @@ from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom, UnknownRobot, cut
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.robot_planes import RobotPlanes
 from ogm_core.sensor_models.evidence import Evidence
 from ogm_core.tiles.aging import Aging
-from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptTile, MapState
+from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState, RobotState
 from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles
+from ogm_core.tiles.erasing import erase, written_rect
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.summing import mark, revisions_at, sum_tiles, written_tiles
@@ -36,6 +37,59 @@ _MOST_NAMED = 20
 def grid_of(settings: GridSettings, epoch: str = "", run: str = "") -> OccupancyGrid:
     """An empty map of these settings; arguments as `OccupancyGrid` has them."""
     return (SeparateGrid if settings.separate_robots else OccupancyGrid)(settings, epoch, run)
+
+
+class RobotPlanes(OccupancyGrid):
+    """A map of one robot's scans, the revisions of which are those of the map that it is a part of."""
+
+    def __init__(self, settings: GridSettings, since: int) -> None:
+        """Nothing is known yet, at revision `since` of the map."""
+        super().__init__(settings)
+        self.since = since
+
+    @property
+    def store(self) -> TileStore:
+        """Its tiles: the writer's."""
+        return self._store
+
+    @property
+    def known(self) -> CellRect | None:
+        """The smallest rectangle that holds every cell that it knows."""
+        return self._extent.known
+
+    def make_room(self, evidence: Evidence, updated: CellRect, more: int) -> None:
+        """Have a place for the cells of `updated` in so many bytes more, at most; none changes.
+
+        Raises:
+            NoRoom: they are too few.
+        """
+        self.max_bytes = self.nbytes + more
+        self._make_room(evidence, updated)
+
+    def count(self, evidence: Evidence, updated: CellRect, before: int) -> None:
+        """Count what a scan says, for which there is room, as that of the revision after `before`."""
+        self.revision, self.max_bytes = before, sys.maxsize
+        self._add(evidence, updated, None)
+        self.revision = before + 1
+
+    def erase_cells(self, area: Polygon, revision: int) -> None:
+        """Make the cells unknown whose centre lies in `area`."""
+        if erase(self._store, area, area.rect, revision):
+            self._extent.know(written_rect(self._store))
+
+    def kept(self, robot: str, revision: int) -> tuple[RobotState, KeptCells]:
+        """What a checkpoint of the map has of it, which is now at this revision."""
+        self.revision = revision
+        made = self.checkpoint()
+        state = RobotState(robot, self.since, made.state.known, made.state.room)
+        return state, made.cells[0]._replace(robot=robot)
+
+    @classmethod
+    def of(cls, settings: GridSettings, state: RobotState, revision: int) -> "RobotPlanes":
+        """What a checkpoint at this revision has said of it; the tiles are not in it yet."""
+        planes = cls(settings, state.since)
+        planes.restore(MapState("", revision, None, 0, state.known, state.room), ())
+        return planes
 
 
 class SeparateGrid(OccupancyGrid):
@@ -76,8 +130,13 @@ class SeparateGrid(OccupancyGrid):
             self._robots[robot] = self._writing
         return updates
 
+    def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
+        """Nothing: there are two stores."""
+        return None
+
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
         updates = super()._add(evidence, updated, aging)  # having made room in both
+        self._writing.threads = self.threads
         self._writing.threads = self.threads
         self._writing.count(evidence, updated, self.revision)
         return updates

@@ -11,7 +11,7 @@ from typing import Any
 
 from ogm_core.types import Pose
 
-_ONLY_OF_SOME = {"store", "share", "of_others", "shares", "complete", "missing"}
+_ONLY_OF_SOME = {"robots", "store", "share", "of_others", "shares", "complete", "missing"}
 """Fields that the JSON has where they say something, and else has not."""
 GONE_AFTER = 60.0
 """How long a robot that is not alive is shown after its last message, s."""
@@ -141,13 +141,17 @@ class MessageCounts:
 
 @dataclass(frozen=True, slots=True)
 class MapInfo:
-    """The map's size: cells that are known, bytes allocated, width and height in cells, resolution in m."""
+    """The map's size: cells that are known, bytes allocated, width and height in cells, resolution in m.
+
+    `robots` are those in a map that keeps robots apart, by name; the JSON of other maps has none.
+    """
 
     known_cells: int
     bytes: int
     width: int
     height: int
     resolution: float
+    robots: list[str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,6 +246,16 @@ class ShareState:
 
 
 @dataclass(frozen=True, slots=True)
+class Forgotten:
+    """What a map is once a robot was left out of it: which one, and the robots that are still in it."""
+
+    epoch: str
+    run: str
+    revision: int
+    robots: list[str]
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
@@ -270,8 +284,8 @@ class Status:
     missing: list[MissingPart] | None = None
 
 
-def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure) -> bytes:
-    """JSON form of a status, of what is said of saved maps, or of what has been erased."""
+def encode_status(status: Status | SnapshotInfo | SnapshotList | Erasure | Forgotten) -> bytes:
+    """JSON form of a status, of what is said of saved maps, or of what has been erased or left out."""
     return json.dumps(status, default=_by_name).encode()
 
 

@@ -67,6 +67,7 @@ class AsyncMapClient:
     inflate = _awaited(MapClient.inflate)
     reset = _awaited(MapClient.reset)
     erase = _awaited(MapClient.erase)
+    forget = _awaited(MapClient.forget)
     snapshots = _awaited(MapClient.snapshots)
     save_snapshot = _awaited(MapClient.save_snapshot)
     restore_snapshot = _awaited(MapClient.restore_snapshot)

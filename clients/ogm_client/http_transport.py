@@ -3,7 +3,7 @@
 import io
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import NamedTuple
 from urllib.parse import urlsplit
@@ -34,6 +34,8 @@ _PROBLEM = "application/problem+json"
 _EXAMPLE = "a URL looks like http://127.0.0.1:8000"
 _OF_A_GATEWAY = (httpx.codes.BAD_GATEWAY, httpx.codes.SERVICE_UNAVAILABLE, httpx.codes.GATEWAY_TIMEOUT)
 """What who stands before a mapper answers, and no mapper does, but with a problem."""
+_DELETED: Mapping[Write, tuple[str, str]] = {"delete": ("snapshots", "name"), "forget": ("robots", "robot")}
+"""What is deleted by a name in the path: below what, and the parameter that names it."""
 _BROKEN_OFF = "without sending"
 """In the words of httpcore and h11, which have no error of its own for a connection that ends too early."""
 _HEADERS = {"Accept-Encoding": "identity"}
@@ -96,9 +98,10 @@ class HttpTransport:
 
     def write(self, name: Write, parameters: Parameters) -> bytes:
         """Change something; the bytes of what is answered."""
-        if name == "delete":
+        if name in _DELETED:
+            folder, named = _DELETED[name]
             # Dots that stay as they are may be taken for steps through folders, on whatever way.
-            path = f"snapshots/{parameters['name'].replace('.', '%2E')}"
+            path = f"{folder}/{parameters[named].replace('.', '%2E')}"
             return self._send("DELETE", path, {}, self._authorization).content
         return self._send("POST", name, parameters, self._authorization).content
 

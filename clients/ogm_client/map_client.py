@@ -17,7 +17,7 @@ from ogm_client.map_grid import MapGrid
 from ogm_client.map_queries import MapQueries
 from ogm_client.parameters import Resolution, Value, is_coarse, texts
 from ogm_client.session import NetworkConfig
-from ogm_client.status_reply import read_erasure, read_snapshot, read_snapshots, read_status
+from ogm_client.status_reply import read_erasure, read_forgotten, read_snapshot, read_snapshots, read_status
 from ogm_client.transport import NAMES, Limits, MapReply, Transport, Version, json_object
 from ogm_client.zenoh_transport import ZenohTransport
 from ogm_core.errors import BadInput, BadParameter, BadSetting, cut
@@ -201,6 +201,21 @@ class MapClient(MapQueries):
         corners = None if polygon is None else _corners(polygon)
         given = texts({"region": region, "polygon": corners})
         return read_erasure(self._transport.write("erase", given)).cells
+
+    def forget(self, robot: str) -> list[str]:
+        """Leave a robot out of the map, which is that of all others' scans then; return who is still in it.
+
+        Stop the robot before: scans of it that come later are added anew. Where the mapper stores its map
+        that is on the disk then.
+
+        Raises:
+            BadParameter: it is no name of a robot: 1 to 64 of A-Z a-z 0-9 _ - .
+            MapperError: it is not in the map ("unknown-robot"), or the map does not keep robots apart
+                ("not-separate").
+        """
+        if not (isinstance(robot, str) and NAME.fullmatch(robot)):
+            raise BadParameter(f"robot {cut(repr(robot))}: a name is 1 to {MAX_NAME} of A-Z a-z 0-9 _ - .")
+        return read_forgotten(self._transport.write("forget", {"robot": robot})).robots
 
     def snapshots(self) -> list[SnapshotInfo]:
         """The maps that the mapper has saved, by name.

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ogm_client.errors import BadReply
 from ogm_client.transport import json_object, printable
-from ogm_core.status import Erasure, SnapshotInfo, SnapshotList, Status
+from ogm_core.status import Erasure, Forgotten, SnapshotInfo, SnapshotList, Status
 from ogm_core.types import Pose
 
 _WORDS = {
@@ -52,6 +52,16 @@ def read_erasure(payload: bytes) -> Erasure:
     """
     erasure: Erasure = _value(Erasure, json_object("erase", payload), ("erase",))
     return erasure
+
+
+def read_forgotten(payload: bytes) -> Forgotten:
+    """What is told of a map that a robot was left out of.
+
+    Raises:
+        BadReply: it is something else.
+    """
+    forgotten: Forgotten = _value(Forgotten, json_object("forget", payload), ("forget",))
+    return forgotten
 
 
 def read_snapshots(payload: bytes) -> list[SnapshotInfo]:

@@ -33,7 +33,7 @@ class Placement:
 
     def __init__(
         self,
-        sink: ScanSink,
+        sink_of: Callable[[str], ScanSink],
         robots: Robots,
         outcomes: Outcomes,
         hints: Hints,
@@ -42,12 +42,14 @@ class Placement:
         placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
         whose: Callable[[PlacedScan], Whose] | None = None,
     ) -> None:
-        """`integrated` is told, of each scan that the sink has taken, when it was handed to the placer, s.
+        """`sink_of` a robot: where its scans go.
+
+        `integrated` is told, of each scan that the sink has taken, when it was handed to the placer, s.
 
         `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose at its stamp. Where
         the map is cut into shares, `whose` says if a scan is this one's to count.
         """
-        self._sink = sink
+        self._sink_of = sink_of
         self._robots = robots
         self._outcomes = outcomes
         self._hints = hints
@@ -67,7 +69,7 @@ class Placement:
             skipped, told = 0, _NO_HINTS
             if self._other_robots is not None:
                 scan, skipped, told = self._other_robots.without(name, robot, self._robots.get, placed)
-            self._sink.integrate(scan, placed.pose, sweep)
+            self._sink_of(name).integrate(scan, placed.pose, sweep)
         except ScanRefused as refusal:
             self._refused(name, sensor, refusal, whose)
         except Exception:

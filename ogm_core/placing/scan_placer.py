@@ -52,9 +52,11 @@ class ScanPlacer:
         other_robots: OtherRobots | None = None,
         placed: Callable[[str, str, Scan, Pose], None] = lambda *_: None,
         whose: Callable[[PlacedScan], Whose] | None = None,
+        sink_of: Callable[[str], ScanSink] | None = None,
     ) -> None:
         """`integrated` is told, of every scan that the sink has taken, when it was handed to the placer.
 
+        `sink_of` a robot takes its scans in place of `sink`, which takes those of all.
         `placed`: its robot, its sensor, the scan as it was taken, and the sensor's pose in the map.
         `limits` of the scans that wait for poses. Once `stopping`, those that are ready stay waiting.
         `robots_limit`: bytes that poses, seqs and runs of all robots may hold. `other_robots` skips the beams
@@ -71,7 +73,8 @@ class ScanPlacer:
         self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
         self._outcomes = Outcomes(receipts, complain)
         self._placement = Placement(
-            *(sink, self._robots, self._outcomes, self._hints, integrated, self._other_robots, placed, whose)
+            *(sink_of or (lambda _: sink), self._robots, self._outcomes, self._hints, integrated),
+            *(self._other_robots, placed, whose),
         )
         self._waiting = WaitingRoom(
             self._robots, self._outcomes, self._placement, rules.pose_wait, limits, stopping

@@ -16,7 +16,7 @@ DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 MAX_TRUTH_BYTES = 256 * 1024
 """The longest text of a simulator's world that a mapper reads: some 10,000 walls."""
 
-Write = Literal["reset", "erase", "save", "restore", "delete"]
+Write = Literal["reset", "erase", "forget", "save", "restore", "delete"]
 """What changes a map, or what is saved of it."""
 Query = Literal["raycast", "check", "distance", "inflate"]
 """What is computed from a map for who asks."""

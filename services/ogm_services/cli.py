@@ -16,6 +16,7 @@ from ogm_services.commands import snapshot
 from ogm_services.commands.build_flags import build
 from ogm_services.commands.compare import compare
 from ogm_services.commands.erase import erase
+from ogm_services.commands.forget import forget
 from ogm_services.commands.foxglove_flags import foxglove
 from ogm_services.commands.gateway_flags import gateway
 from ogm_services.commands.log_flags import Log
@@ -160,6 +161,7 @@ def status(
 
 
 app.command(rich_help_panel=RUNNING)(erase)
+app.command(rich_help_panel=RUNNING)(forget)
 app.command(rich_help_panel=RUNNING)(foxglove)
 
 

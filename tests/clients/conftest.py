@@ -121,8 +121,9 @@ class Handler(BaseHTTPRequestHandler):
         mapper, name = self.server.mapper, url.path.removeprefix("/")
         given = dict(parse_qsl(url.query))
         if self.command == "DELETE":
-            folder, _, given["name"] = name.partition("/")
-            name, given["name"] = {"snapshots": "delete"}[folder], unquote(given["name"])
+            folder, _, named = name.partition("/")
+            name, parameter = {"snapshots": ("delete", "name"), "robots": ("forget", "robot")}[folder]
+            given[parameter] = unquote(named)
         elif (name in WRITES) != (self.command == "POST"):
             return self.send_error(405)
         body = mapper.take(name, given)

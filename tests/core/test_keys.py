@@ -50,6 +50,7 @@ def test_keys_are_those_of_the_contract():
             "inflate",
             "reset",
             "erase",
+            "forget",
             "save",
             "restore",
             "delete",

@@ -49,7 +49,7 @@ def test_table_of_settings():
         section = next(iter(_quoted(names)), section)
         documented[section, _quoted(key)[0]] = default
     assert documented == {
-        (section, key): "none" if value in (None, ()) else str(value)
+        (section, key): "none" if value in (None, ()) else str(value).replace("False", "false")
         for section, values in Settings()
         for key, value in values
     }
@@ -58,7 +58,7 @@ def test_table_of_settings():
 def test_table_of_routes(ogm):
     documented = {
         _quoted(route)[0]: set(_quoted(parameters))
-        for page in (README, "docs/queries.md", "docs/security.md")
+        for page in (README, "docs/queries.md", "docs/merging.md", "docs/security.md")
         for route, parameters, _ in _table(page, "route")
     }
     mapper = ogm.ready(ogm.mapper())

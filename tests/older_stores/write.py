@@ -21,10 +21,13 @@ import numpy as np
 from ogm_client import RobotPublisher
 from ogm_services.mapper.storage.layout import FILE, VERSION
 
-FLAGS = ("--resolution", "0.1", "--sensor-model", "beam", "--traversal", "bresenham", "--cells", "int16")
-"""Those that a mapper needs to go on with it."""
-FORGETTING = ("--half-life", "1")
-"""From format 2 on as well; something was erased, too."""
+LOG_ODDS = ("--resolution", "0.1", "--sensor-model", "beam", "--traversal", "bresenham", "--cells", "int16")
+OF_FORMAT = {
+    1: LOG_ODDS,
+    2: (*LOG_ODDS, "--half-life", "1"),
+    3: ("--resolution", "0.25", "--cell-model", "rate", "--separate-robots"),
+}
+"""Flags that a mapper needs for maps of a format; in 2 and 3 something was erased, in 3 a robot left out."""
 SWEEP = {"angle_min": -np.pi, "angle_increment": np.pi / 45, "range_min": 0.1, "range_max": 6.0}
 STAMP = 1_700_000_000_000_000_000
 RUN = "run1"
@@ -45,16 +48,22 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder, "data")
         command = [sys.executable, "-m", "ogm_services", "mapper", "--http-port", "0"]
-        command += ["--listen", "tcp/127.0.0.1:0", "--data", data, *FLAGS, *FORGETTING]
+        command += ["--listen", "tcp/127.0.0.1:0", "--data", data, *OF_FORMAT[VERSION]]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as mapper:
             endpoint, url = (re.search(r"(\S+)$", mapper.stdout.readline())[1] for _ in range(2))
             with RobotPublisher("r1", address=endpoint, run=RUN, reliable=True) as robot:
                 robot.wait_for_mapper(30.0)
                 publish(robot, 0, SCANS)
                 status(url, lambda said: said["scans"]["integrated"] == SCANS)
+                for k, other in enumerate(("r2", "r3")):
+                    with RobotPublisher(other, address=endpoint, run=RUN, reliable=True) as one:
+                        one.wait_for_mapper(30.0)
+                        publish(one, k, k + 2)
+                        status(url, lambda said, k=k: said["scans"]["integrated"] == SCANS + 2 * k + 2)
+                body(url, "robots/r3", "DELETE")
                 body(url, "erase?region=1,-1,2,1", "POST")
-                served = body(url, "map.npz")
-                known = np.count_nonzero(~np.isnan(np.load(io.BytesIO(served))["log_odds"]))
+                served, coarse = body(url, "map.npz"), body(url, "map.npz?resolution=coarse")
+                known = np.count_nonzero(~np.isnan(np.load(io.BytesIO(coarse))["log_odds"]))
                 # The count of known cells may be some seconds old.
                 said = status(url, lambda said: said["map_info"]["known_cells"] == known)
                 files = {"map.npz": served, "status.json": said}

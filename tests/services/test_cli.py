@@ -25,7 +25,7 @@ MAP_FLAGS = (
 )
 NETWORK_FLAGS = "--map --listen --connect --zenoh-config"
 HTTP_FLAGS = "--http-host --http-port --http-hosts --root-path --http-token-file"
-MAPPER_FLAGS = "--threads --data --start-map --start-confidence"
+MAPPER_FLAGS = "--threads --data --start-map --start-confidence --separate-robots"
 SERVICE_FLAGS = "--log-level --log-format --print-config"
 LOG_FLAGS = (
     "--range-max --robot --odometry --scan-topic --cloud-topic --z-band --bins --pose-topic --fixed-frame "
@@ -54,6 +54,7 @@ FLAGS = {
         for write in ("save", "restore", "delete")
     },
     "erase": "--region --polygon --json --token-file --url --map --zenoh-config --config",
+    "forget": "--json --token-file --url --map --zenoh-config --config",
     "foxglove": f"--host --port --layout --url --map --zenoh-config --config {SERVICE_FLAGS}",
     "ros2": "--list --json --dds --interface --zenoh --domain --scan-topic --cloud-topic --z-band --bins "
     "--pose-topic --mount --scan-delay --tf-hold --map-frame --odom-frame --publish-map "
@@ -111,7 +112,7 @@ def test_help_lists_commands_by_what_they_work_on(ogm):
     shown = re.findall(r"^(?:╭─ (.+?) ─+╮|│ ([a-z]\w+) )", ogm("--help").stdout, re.MULTILINE)
     assert " ".join(panel or command for panel, command in shown) == (
         "Options Live: mapper, robots and recorder demo mapper gateway simulate replay ros2 record "
-        "A running mapper and its map get status erase foxglove snapshot "
+        "A running mapper and its map get status erase forget foxglove snapshot "
         "Recordings and stored maps, without network build quality compare merge info repair"
     )
 

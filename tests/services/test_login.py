@@ -11,6 +11,7 @@ from small_proxy import small_proxy
 
 TOKEN = "correct-horse.battery~staple+0/8=="
 ALL = ["reset", "erase", "save", "restore", "delete"]
+"""Of a mapper that does not keep robots apart."""
 
 
 @pytest.fixture(scope="module")

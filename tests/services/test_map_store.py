@@ -224,7 +224,7 @@ def test_no_folder_can_be_made_where_a_file_is(tmp_path):
 
 def test_a_store_of_another_version_is_refused_by_name(stored):
     folder, story = stored
-    for version, said in ((3, "format 3; this one reads format 2: use the newer one"), (0, "format 0")):
+    for version, said in ((4, "format 4; this one reads format 3: use the newer one"), (0, "format 0")):
         with sqlite3.connect(folder / "map.sqlite") as connection:
             connection.execute(f"PRAGMA user_version = {version}")
         connection.close()

@@ -46,7 +46,7 @@ def ask(method, path, *, alive=True, ready=True, reset=refuse):
     """Ask an application of broken answers, without a server."""
     health = Health(lambda: alive, [lambda: None, lambda: None if ready else "it is not ready"])
     threads = AnsweringThreads(waiting=4)
-    writes = dict.fromkeys(("reset", "erase", "save", "restore", "delete"), reset)
+    writes = dict.fromkeys(("reset", "erase", "forget", "save", "restore", "delete"), reset)
     app = build_app(
         BrokenAnswers(), health, writes, Metrics(), access=HttpAccess(hosts=("mapper",)), threads=threads
     )

@@ -22,6 +22,7 @@ VALIDATORS = {"If-Match", "If-None-Match"}
 WRITES = {
     "/reset": "post",
     "/erase": "post",
+    "/robots/{robot}": "delete",
     "/save": "post",
     "/restore": "post",
     "/snapshots/{name}": "delete",
@@ -289,6 +290,8 @@ def test_openapi_says_what_a_status_holds(cross):
         assert content["application/json"]["schema"] == {"$ref": "#/components/schemas/Status"}
     assert "store" not in status  # it is only said by a mapper that has one
     store = {"revision": 3, "failing": None, "bytes": 4096}
+    assert "robots" not in status["map_info"]  # it is only said of a map that keeps them apart
+    status["map_info"]["robots"] = ["robot1"]
     compare({**status, "store": store}, {"$ref": "#/components/schemas/Status"})
     assert status["robots"]
 

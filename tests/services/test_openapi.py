@@ -12,7 +12,7 @@ from jsonschema import ValidationError
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 from described_http import check, document, operation_of, validator
-from ogm_core.errors import BadInput, BadSetting, BadStore, DiskFull, MapEmpty, OgmError
+from ogm_core.errors import BadInput, BadSetting, BadStore, DiskFull, MapEmpty, OgmError, UnknownRobot
 from ogm_services.mapper.serving.guesses import AT_ONCE
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.storage.failures import StoreFails
@@ -32,7 +32,7 @@ ASKED = {
     "/restore": "?name=here",
 }
 """Queries without which routes answer 400."""
-PLACES = {"z": 16, "x": 0, "y": 0, "name": "here"}
+PLACES = {"z": 16, "x": 0, "y": 0, "name": "here", "robot": "r"}
 OF_SAVED_MAPS = "/map.", "/distance.", "/inflate."
 UNNAMED = {"/restore": "?name=nowhere"}
 
@@ -98,7 +98,12 @@ def test_every_status_that_is_described_is_given(start_mapper, tmp_path, monkeyp
         if operation is not None:
             given[path, request.method.lower()].add(str(response.status_code))
 
-    with start_mapper(map={"resolution": 0.5}, mapper={"data": tmp_path}) as mapper:
+    with start_mapper() as mapper:
+        mapper.http.event_hooks = {"response": [heard]}
+        assert mapper.http.delete("/robots/r").status_code == 409
+    settings = {"map": {"resolution": 0.5, "cell_model": "rate"}, "mapper": {"separate_robots": True}}
+    settings["mapper"]["data"] = tmp_path
+    with start_mapper(**settings) as mapper:
         mapper.http.event_hooks = {"response": [heard]}
         refused_by_all(mapper.http)
         unlike_any_map(mapper.http)
@@ -150,7 +155,7 @@ def unlike_any_map(http):
 
 def answered(http):
     """What goes well, with every validator; the map is emptied in the end, and a snapshot deleted."""
-    last = ("/restore", "/snapshots/{name}", "/erase", "/reset")
+    last = ("/restore", "/snapshots/{name}", "/erase", "/robots/{robot}", "/reset")
     for path, method, told in sorted(
         operations(), key=lambda one: last.index(one[0]) if one[0] in last else -1
     ):
@@ -228,7 +233,7 @@ def test_the_table_of_errors_has_all_that_can_be_told():
     rows = re.findall(r"^\| ([0-9]{3}) \| `([a-z-]+)` \|", page, re.MULTILINE)
     named = [kind for kind in vars(answer_module).values() if isinstance(kind, type)]
     kinds = [kind for kind in named if issubclass(kind, OgmError) and kind not in (OgmError, BadInput)]
-    kinds += [BadSetting, MapEmpty, BadStore, StoreFails, DiskFull]
+    kinds += [BadSetting, MapEmpty, UnknownRobot, BadStore, StoreFails, DiskFull]
     told = {(status_of(kind.__new__(kind)), kind.slug) for kind in kinds}
     told |= {(status, slug_of(status)) for status in (400, 404, 405, 408, 413, 414, 431)}
     told.add((500, "internal"))

@@ -28,7 +28,8 @@ def report(repaired: Repaired, out: Path) -> list[str]:
         lines.append("the map is exactly as it was stored")
         return lines
     if repaired.damaged:
-        lines.append(f"unknown now, x and y from and to in metres ({len(repaired.damaged)}):")
+        what = "what was known of one robot or more is lost" if repaired.separate else "unknown now"
+        lines.append(f"{what}, x and y from and to in metres ({len(repaired.damaged)}):")
         lines += [
             f"  x {area.xmin:.9g} to {area.xmax:.9g}, y {area.ymin:.9g} to {area.ymax:.9g}"
             for area in repaired.damaged[:_MOST_LISTED]

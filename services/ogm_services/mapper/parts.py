@@ -145,6 +145,7 @@ class Parts:
             other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
             placed=self.newest_scans.note,
             whose=self._whose(),
+            sink_of=sink.of if grid_settings.separate_robots else None,
         )
         """The worker's; what it has decided, any thread asks."""
         skip = skipping(placer.decided)

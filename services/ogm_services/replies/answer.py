@@ -49,6 +49,12 @@ class NotStored(OgmError):
     slug = "not-stored"
 
 
+class NotSeparate(OgmError):
+    """The map does not keep robots apart, so that none can be left out of it."""
+
+    slug = "not-separate"
+
+
 class Changed(OgmError):
     """The map is no longer the one that a request's If-Match names."""
 

@@ -8,7 +8,7 @@ a thread that may wait for links in `replies/error_replies.py`.
 import http
 import json
 
-from ogm_core.errors import BadInput, BadStore, DiskFull, MapEmpty, OgmError
+from ogm_core.errors import BadInput, BadStore, DiskFull, MapEmpty, OgmError, UnknownRobot
 from ogm_services.replies.answer import (
     AskShares,
     Busy,
@@ -16,6 +16,7 @@ from ogm_services.replies.answer import (
     CrossOrigin,
     ForeignHost,
     NameTaken,
+    NotSeparate,
     NotStored,
     TooManyGuesses,
     Unauthorized,
@@ -30,7 +31,9 @@ MEDIA_TYPE = "application/problem+json"
 _STATUS: tuple[tuple[type[OgmError], int], ...] = (
     (MapEmpty, 404),
     (UnknownName, 404),
+    (UnknownRobot, 404),
     (NameTaken, 409),
+    (NotSeparate, 409),
     (BadStore, 500),
     (BadInput, 400),
     (Unauthorized, 401),

@@ -30,10 +30,12 @@ PANELS = {
 }
 
 
-def _setting(section: str, key: str, metavar: str, text: str) -> Any:  # noqa: ANN401 (typer's own type)
+def _setting(section: str, key: str, metavar: str | None, text: str) -> Any:  # noqa: ANN401 (typer's own type)
     """Option of a setting: its flag, its help with the default, its panel of the help page."""
     default = SECTIONS[section].model_fields[key].default
     shown = "none" if default in (None, ()) else default
+    if isinstance(default, bool):
+        shown = "on" if default else "off"
     if isinstance(default, float):
         shown = f"{default:g}"
     return typer.Option(
@@ -57,7 +59,9 @@ class _SettingFlags:
     def given(self) -> dict[str, Any]:
         """What was given on the command line, by key."""
         return {
-            field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None
+            field.name: value
+            for field in fields(self)
+            if (value := getattr(self, field.name)) is not None and value is not False
         }
 
 
@@ -240,6 +244,13 @@ class MapperFlags(_SettingFlags):
         str | None,
         _setting("mapper", "start_confidence", "P", "Probability that the start map is right about a cell"),
     ] = None
+    separate_robots: Annotated[
+        bool,
+        _setting(
+            *("mapper", "separate_robots", None),
+            "Keep what each robot has seen apart, so that ogm forget can leave it out (cell model rate)",
+        ),
+    ] = False
 
 
 @dataclass(frozen=True)

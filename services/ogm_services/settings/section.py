@@ -1,6 +1,6 @@
 """Section of the settings: what its groups have in common."""
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 
 
 class Section(BaseModel):
@@ -10,7 +10,8 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_setting_is_a_switch(cls, value: object) -> object:
-        if isinstance(value, bool):
-            raise ValueError("this is not a switch")  # noqa: TRY004 (pydantic collects ValueErrors only)
+    def _only_switches_are_switched(cls, value: object, info: ValidationInfo) -> object:
+        kind = cls.model_fields[info.field_name].annotation if info.field_name else None
+        if isinstance(value, bool) and kind is not bool:
+            raise ValueError("this is not a switch")
         return value

@@ -147,9 +147,10 @@ class MapperSettings(Section):
     and readers make it hold, `max_beams` and
     `max_scan_cells` of one scan, `queue` in scans, `threads` that update the cells of a large scan.
     `pose_wait` and `pose_gap` in s, `max_speed` in m/s, `max_turn_rate` in rad/s: see
-    `PlacingRules`. `data` is the folder that the map is stored in, made if need be; `start_map` the YAML file
-    of a ROS map, or a map.npz; a relative path starts at the working folder; `start_confidence` the
-    probability that a ROS map's occupied cells are occupied, and its free ones free.
+    `PlacingRules`. With `separate_robots` one can be left out of the map later. `data` is the folder that the
+    map is stored in, made if need be; `start_map` the YAML file of a ROS map, or a map.npz; a relative path
+    starts at the working folder; `start_confidence` the probability that a ROS map's occupied cells are
+    occupied, and its free ones free.
     """
 
     max_cells: Count = DEFAULT_MAX_CELLS
@@ -163,6 +164,7 @@ class MapperSettings(Section):
     max_turn_rate: PositiveOrInfinite = DEFAULT_RULES.max_turn_rate
     queue: Count = 4096
     threads: Threads = 1
+    separate_robots: bool = False
     data: Annotated[Path | None, NONE] = None
     start_map: Annotated[FilePath | None, NONE] = None
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
@@ -248,6 +250,7 @@ class Settings(BaseModel):
             bounds=self.map.bounds,
             outside=self.map.outside,
             half_life=self.map.half_life,
+            separate_robots=self.mapper.separate_robots,
             max_cells=self.mapper.max_cells,
             max_bytes=self.mapper.max_bytes,
             max_scan_cells=self.mapper.max_scan_cells,

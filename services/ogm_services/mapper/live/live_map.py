@@ -10,10 +10,11 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
 from ogm_core.sensor_models.update_threads import UpdateThreads
+from ogm_core.separate_grid import SeparateGrid
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
-from ogm_core.tiles.checkpoint import Checkpoint
+from ogm_core.tiles.checkpoint import NOBODY, Checkpoint
 from ogm_core.tiles.copies import Tiles
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.view import TileView
@@ -37,6 +38,7 @@ class _State(NamedTuple):
     identity: Identity
     rect: CellRect
     nbytes: int
+    robots: tuple[str, ...] | None
 
 
 class Ahead(NamedTuple):
@@ -51,12 +53,12 @@ class Ahead(NamedTuple):
 class LiveMap:
     """An `OccupancyGrid` with one writer and many readers.
 
-    Who owns what: only the worker thread calls `integrate`, `reset`, `become` and `erase`, and `_writing` is
-    held while kernels run, on it and on the `threads` that help it, or tiles that have changed are copied
-    out. After each change the writer replaces `_state`, a tuple that nobody changes: whoever reads it waits
-    for nobody. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody changes; `_reading`
-    keeps them from making the same copy twice. `LiveFigures` have locks of their own, so that who waits for
-    them holds up nobody else.
+    Who owns what: only the worker thread calls `integrate`, `reset`, `become`, `erase` and `forget`, and
+    `_writing` is held while kernels run, on it and on the `threads` that help it, or tiles that have changed
+    are copied out. After each change the writer replaces `_state`, a tuple that nobody changes: whoever reads
+    it waits for nobody. Readers (HTTP and Zenoh threads) share the newest snapshot, which nobody changes;
+    `_reading` keeps them from making the same copy twice. `LiveFigures` have locks of their own, so that who
+    waits for them holds up nobody else.
     """
 
     def __init__(
@@ -84,13 +86,13 @@ class LiveMap:
             memory.add("copies", self._copies_bytes)
             memory.add("recent", lambda: self._recent.nbytes, self._recent.share)
 
-    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None) -> int:
+    def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None, robot: str = NOBODY) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
             if self._memory is not None:
                 self._grid.max_bytes = min(self._grid.settings.max_bytes, self._allowed(self._memory))
             try:
-                updates = self._grid.integrate(scan, pose, sweep)
+                updates = self._grid.integrate(scan, pose, sweep, robot)
             except NoRoom as refusal:
                 raise self._reason_of(refusal) from refusal
             grew, self._state = self._grid.nbytes > self._state.nbytes, self._told()
@@ -128,16 +130,27 @@ class LiveMap:
             self._recent.clear()
             return erased
 
+    def forget(self, robot: str) -> None:
+        """Writer: leave a robot out of a map that keeps robots apart; see `SeparateGrid.forget`.
+
+        The live consistency begins anew, as after an erasure.
+        """
+        with self._writing:
+            cast(SeparateGrid, self._grid).forget(robot)
+            self._state = self._told()
+            self._recent.clear()
+
     def copy_ahead(self) -> Tiles:
         """Copy what has changed while the writer goes on: `checkpoint` has next to nothing left to copy.
 
         Returns memory for that.
         """
         with self._writing:
-            ahead = self._grid.copy_ahead()
-        made = ahead.made()
+            aheads = self._grid.copies_ahead()
+        copies = [(ahead, ahead.made()) for ahead in aheads]
         with self._writing:
-            self._grid.take_ahead(ahead, made)
+            for ahead, made in copies:
+                self._grid.take_ahead(ahead, made)
             make_room = self._grid.room_for_checkpoint()
         return make_room()
 
@@ -166,6 +179,11 @@ class LiveMap:
     def time(self) -> int | None:
         """Writer: how far the time of a map that forgets has come, ns; None before its first scan."""
         return self._grid.time.time
+
+    @property
+    def robots(self) -> tuple[str, ...] | None:
+        """The robots in a map that keeps them apart; None of others. Waits for nobody."""
+        return self._state.robots
 
     def cells_in(self, region: Region | None, *, finest: bool = False) -> int:
         """How many cells of the map a region covers, None: all of them; waits for nobody.
@@ -210,6 +228,7 @@ class LiveMap:
             width=state.rect.width,
             height=state.rect.height,
             resolution=self._grid.lattice.resolution,
+            robots=None if state.robots is None else list(state.robots),
         )
 
     def count_known(self) -> None:
@@ -263,12 +282,13 @@ class LiveMap:
 
     def _copies_bytes(self) -> int:
         view = self._view
-        return 0 if view is None else self._copied + view.nbytes
+        return self._grid.kept_bytes + (0 if view is None else self._copied + view.nbytes)
 
     def _told(self) -> _State:
         """The state of the grid; the writer's."""
         grid = self._grid
-        return _State(Identity.of(grid), grid.rect, grid.nbytes)
+        robots = grid.robots if isinstance(grid, SeparateGrid) else None
+        return _State(Identity.of(grid), grid.rect, grid.nbytes, robots)
 
     def _room(self) -> Tiles | None:
         """Memory for the next snapshot; `_reading` is held, and the writer goes on meanwhile."""

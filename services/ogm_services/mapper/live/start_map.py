@@ -19,6 +19,7 @@ from ogm_core.files.counted_maps import CountedMap, load_counts
 from ogm_core.files.map_files import MAX_NPZ_BYTES, NpzMap, load_npz
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import SAME_RESOLUTION
+from ogm_core.separate_grid import grid_of
 from ogm_services.settings.settings import Settings, is_npz
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def started_grid(settings: Settings, epoch: str, run: str = "") -> OccupancyGrid
     """
     path = settings.mapper.start_map
     if path is None:
-        return OccupancyGrid(settings.mapper_grid_settings(), epoch, run)
+        return grid_of(settings.mapper_grid_settings(), epoch, run)
     try:
         return (_grid_of_npz if is_npz(path) else _grid_of_ros_map)(settings, epoch, run, path)
     except LimitReached as error:
@@ -59,7 +60,7 @@ def _grid_of_ros_map(settings: Settings, epoch: str, run: str, path: Path) -> Oc
     _check_not_turned(ros_map, path)
     _check_resolution(settings, ros_map.resolution, path)
     grid_settings = replace(settings.grid_settings(), resolution=ros_map.resolution, anchor=ros_map.origin)
-    grid = OccupancyGrid(grid_settings, epoch, run)
+    grid = grid_of(grid_settings, epoch, run)
     cells = start_cells(ros_map.occupancy, _log_odds(grid.model), settings.mapper.start_confidence)
     grid.begin_with({PLANE: cells})
     return grid
@@ -100,7 +101,7 @@ def _grid_on_lattice_of(
             f"mapper.start_confidence: {path} has its cells' {values}, which stay as they are: leave it out"
         )
     grid_settings = replace(settings.grid_settings(), resolution=saved.resolution, anchor=saved.anchor)
-    grid = OccupancyGrid(grid_settings, epoch, run)
+    grid = grid_of(grid_settings, epoch, run)
     if grid.lattice.anchor != saved.anchor:
         raise BadSetting(
             f"map.bounds: they begin at {grid.lattice.anchor}, and the cells of mapper.start_map {path} are "

@@ -12,7 +12,6 @@ import numpy as np
 from ogm_core.cells.classes import trinary
 from ogm_core.errors import LimitReached
 from ogm_core.files.map_files import encode_json, encode_png
-from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
 from ogm_core.quality.first_walls import count_hits
@@ -20,6 +19,7 @@ from ogm_core.queries.ray_kernel import cast_rays
 from ogm_core.sensor_models.hits import hits_at_robots
 from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.sensor_models.update_threads import UpdateThreads
+from ogm_core.separate_grid import grid_of
 from ogm_core.tiles.checkpoint import Checkpoint
 from ogm_core.tiles.codec import encode_tile
 from ogm_core.tiles.halved import tiled
@@ -40,7 +40,7 @@ def warm_up(settings: GridSettings, threads: int = 1) -> None:
     """
     small, scan, pose = _small(settings)
     # None of them is started: the scan is small. But whether it is worth several has to be found out.
-    scratch = LiveMap(OccupancyGrid(small), threads=UpdateThreads(threads) if threads > 1 else None)
+    scratch = LiveMap(grid_of(small), threads=UpdateThreads(threads) if threads > 1 else None)
     for _ in range(2):  # kernels of a scan that tells of new cells, and of one that does not
         scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
@@ -57,7 +57,7 @@ def warm_up(settings: GridSettings, threads: int = 1) -> None:
 def warm_up_rest(settings: GridSettings) -> None:
     """The same for what can wait: storing, quality, other formats, tiles, sweeps, a map that is full."""
     small, scan, pose = _small(settings)
-    scratch = LiveMap(OccupancyGrid(small))
+    scratch = LiveMap(grid_of(small))
     scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
     for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
         encode_tile(tile.planes)
@@ -69,7 +69,7 @@ def warm_up_rest(settings: GridSettings) -> None:
     encode_json(whole, "", "percent")
     TilePyramid().pixels(cast(TiledView, tiled(whole.stored)), whole.model, Square(LEAST_Z, 0, -1))
     with suppress(LimitReached):  # a map that is full counts tiles by another kernel
-        OccupancyGrid(replace(small, max_bytes=1)).integrate(scan, pose)
+        grid_of(replace(small, max_bytes=1)).integrate(scan, pose)
 
 
 class RestOfWarmUp:
@@ -112,6 +112,7 @@ def _small(settings: GridSettings) -> tuple[GridSettings, Scan, Pose]:
         settings.traversal,
         bounds=None if settings.bounds is None else Region(0.0, 0.0, side, side),
         outside=settings.outside,
+        separate_robots=settings.separate_robots,
     )
     scan = Scan(0, 0.0, 1.0, 0.0, side / 3, np.array([side / 4, math.inf], np.float32))
     return small, scan, Pose(side / 2, side / 2, 0.0)

@@ -277,6 +277,11 @@ class Answers:
         return self._saved is not None
 
     @property
+    def keeps_robots(self) -> bool:
+        """Whether the map keeps robots apart."""
+        return self._map.info().robots is not None
+
+    @property
     def saved(self) -> SavedMaps:
         """The maps that are saved.
 

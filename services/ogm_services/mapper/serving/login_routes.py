@@ -16,7 +16,7 @@ from ogm_services.mapper.serving.handlers import add_get, parameters_of
 from ogm_services.mapper.serving.json_models import LoginToken
 from ogm_services.mapper.serving.refusals import refusal
 from ogm_services.mapper.serving.write_access import WriteAccess
-from ogm_services.mapper.serving.write_routes import WITHOUT_STORE
+from ogm_services.mapper.serving.write_routes import OF_STORES
 from ogm_services.replies.answer import Unauthorized
 
 LOGIN, LOGOUT = "/login", "/logout"
@@ -54,11 +54,15 @@ _LOG_OUT = Operation(*("log_out", "login", "Make that cookie void"), model=Login
 
 
 def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> None:
-    """Add them; `answers` know whether maps can be saved."""
+    """Add them; `answers` know whether maps can be saved, and robots left out."""
 
     def state(scope: Scope, *, logged_in: bool) -> Response:
         may_write = logged_in or access.problem(scope) is None
-        writes: list[Write] = [name for name in get_args(Write) if answers.saves or name in WITHOUT_STORE]
+        writes: list[Write] = [
+            name
+            for name in get_args(Write)
+            if (answers.saves or name not in OF_STORES) and (answers.keeps_robots or name != "forget")
+        ]
         told = LoginState(access.token_needed, logged_in, may_write, writes)
         return Response(orjson.dumps(asdict(told)), media_type="application/json")
 

@@ -79,6 +79,7 @@ COMPLETE: Final = ChoiceParameter(
 )
 COMPLETE_FIRST: Final = replace(COMPLETE, words=("1", "0"))
 """For what a planner loads, to which unknown cells may be free ones."""
+ROBOT: Final = TextParameter("robot", "it says which robot", "robot1", NAME.pattern, AT.form, needed=True)
 CELL_X: Final = NumberParameter("x", "metres, map frame", example=1.5)
 CELL_Y: Final = NumberParameter("y", "metres, map frame", example=0.5)
 

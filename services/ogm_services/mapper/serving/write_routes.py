@@ -5,11 +5,11 @@ from functools import partial
 
 from fastapi import FastAPI, Request, Response
 
-from ogm_core.status import Erasure, SnapshotInfo, SnapshotList, Status
+from ogm_core.status import Erasure, Forgotten, SnapshotInfo, SnapshotList, Status
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.serving.api_description import Operation
 from ogm_services.mapper.serving.handlers import Handler, in_turn, parameters_of, plain
-from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, SNAPSHOT_NAME
+from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, ROBOT, SNAPSHOT_NAME
 from ogm_services.mapper.serving.query_parameters import Parameter
 from ogm_services.mapper.serving.writes import DoWrite
 from ogm_services.replies.answer import Parameters
@@ -18,8 +18,9 @@ from ogm_services.replies.turns import Turns
 _OF_WRITES = (401, 403, 413, 429, 503)
 _AREA = (ERASED_REGION, POLYGON)
 _NAME = (SNAPSHOT_NAME,)
-WITHOUT_STORE: frozenset[Write] = frozenset({"reset", "erase"})
-"""What a mapper can do that stores no map."""
+OF_STORES: frozenset[Write] = frozenset({"save", "restore", "delete"})
+"""What only a mapper can do that stores its map."""
+_DELETES: frozenset[Write] = frozenset({"delete", "forget"})
 
 
 def add_write_routes(app: FastAPI, writes: Mapping[Write, DoWrite], turns: Turns) -> None:
@@ -34,7 +35,7 @@ def add_write_routes(app: FastAPI, writes: Mapping[Write, DoWrite], turns: Turns
         return handle
 
     for path, write, operation in _OPERATIONS:
-        method = "DELETE" if write == "delete" else "POST"
+        method = "DELETE" if write in _DELETES else "POST"
         app.add_api_route(path, handler(write), methods=[method], **operation.options())
 
 
@@ -57,12 +58,18 @@ def _operation(
 
 
 _ERASE = "Make the cells unknown whose centre lies in a region or a polygon: the next revision"
+_FORGET = "Leave a robot out of the map: the next revision, that of all others' scans"
 _SAVE = "Save the map of this moment under a name"
 _RESTORE = "Go on with the map that was saved under a name: a new epoch, the revision that was saved"
 _DELETE = "Delete the map that was saved under a name; those that are left"
 _OPERATIONS: Sequence[tuple[str, Write, Operation]] = (
     ("/reset", "reset", _operation("reset", "Empty the map: a new epoch, revision 0", Status)),
     ("/erase", "erase", _operation("erase", _ERASE, Erasure, (404, 507), parameters=_AREA)),
+    (
+        "/robots/{robot}",
+        "forget",
+        _operation("forget_robot", _FORGET, Forgotten, (404, 409, 507), in_path=(ROBOT,)),
+    ),
     ("/save", "save", _operation("save", _SAVE, SnapshotInfo, (409, 507), parameters=_NAME)),
     ("/restore", "restore", _operation("restore", _RESTORE, Status, (404, 507), parameters=_NAME)),
     (

@@ -7,16 +7,23 @@ from typing import Protocol
 
 from ogm_core.errors import BadSetting, DiskFull
 from ogm_core.grid_settings import GridSettings
-from ogm_core.status import Erasure, encode_status
+from ogm_core.status import Erasure, Forgotten, encode_status
 from ogm_core.wire.keys import Write
 from ogm_services.mapper.intake.worker import Worker
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, SNAPSHOT_NAME, area_of
+from ogm_services.mapper.serving.map_parameters import ERASED_REGION, POLYGON, ROBOT, SNAPSHOT_NAME, area_of
 from ogm_services.mapper.serving.query_parameters import check_names
 from ogm_services.mapper.storage.failures import StoreFails
 from ogm_services.mapper.storage.kept_map import KeptMap
-from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, refuse_parameters
+from ogm_services.replies.answer import (
+    NO_SNAPSHOTS,
+    Answer,
+    NotSeparate,
+    NotStored,
+    Parameters,
+    refuse_parameters,
+)
 from ogm_services.replies.in_flight import InFlight
 
 log = logging.getLogger(__name__)
@@ -54,6 +61,7 @@ class Writes:
         return {
             "reset": self.reset,
             "erase": self.erase,
+            "forget": self.forget,
             "save": self.save,
             "restore": self.restore,
             "delete": self.delete,
@@ -103,6 +111,40 @@ class Writes:
         if self._kept_map is not None:
             _store(self._kept_map, "the map is erased there")
         return Answer(encode_status(erased), "application/json")
+
+    def forget(self, given: Parameters, who: str) -> Answer:
+        """Leave a robot out of the map, after every message that has arrived; the robots that are left.
+
+        Where the map is stored it is on the disk in the end. What is known of the robot's messages stays:
+        those that were in the map, or were dropped, do not come again.
+
+        Raises:
+            BadParameter: it is no name of a robot.
+            NotSeparate: the map does not keep robots apart.
+            UnknownRobot: it is not in the map.
+            Unavailable: the mapper starts, stops or is far behind.
+            DiskFull, StoreFails: the robot is left out, but that is not stored yet.
+        """
+        check_names(given, (ROBOT,))
+        robot = ROBOT.read(given)
+        assert robot is not None
+        self._answers.check_ready()
+        if self._live_map.robots is None:
+            raise NotSeparate(
+                f"robot {robot}: this map does not keep robots apart: start it with --separate-robots "
+                "(mapper.separate_robots) before the first scan"
+            )
+
+        def leave_out() -> Forgotten:
+            self._live_map.forget(robot)
+            now = self._live_map.now
+            log.info("%s has left robot %s out of the map: revision %d", who, robot, now.revision)
+            return Forgotten(now.epoch, now.run, now.revision, list(self._live_map.robots or ()))
+
+        left = self._worker.do(leave_out)
+        if self._kept_map is not None:
+            _store(self._kept_map, f"robot {robot} is left out there")
+        return Answer(encode_status(left), "application/json")
 
     def save(self, given: Parameters, who: str) -> Answer:
         """Save the map under a name, after every message that has arrived; what the list says of it.

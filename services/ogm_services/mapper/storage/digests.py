@@ -6,14 +6,17 @@ of rows that damage could make has the same.
 """
 
 import struct
+from collections.abc import Collection
 from hashlib import blake2b
+
+from ogm_core.tiles.checkpoint import NOBODY
 
 DIGEST_BYTES = 16
 _MODULUS = 1 << 8 * DIGEST_BYTES
 _TILE = struct.Struct("<qqq")
 
-TileName = tuple[int, int]
-"""(tx, ty): the tile's place on the lattice."""
+TileName = tuple[int, int, str]
+"""(tx, ty): the tile's place on the lattice; and whose it is in a map that keeps robots apart."""
 RowName = TileName | str
 """Of a tile, or the key of a part of the placing state."""
 Changes = dict[RowName, bytes | None]
@@ -22,7 +25,12 @@ Changes = dict[RowName, bytes | None]
 
 def tile_digest(name: TileName, revision: int, record: bytes) -> bytes:
     """Digest of a tile's row."""
-    return _digest(b"ogm tile", _TILE.pack(*name, revision), record)
+    tx, ty, robot = name
+    place = _TILE.pack(tx, ty, revision)
+    if robot == NOBODY:
+        return _digest(b"ogm tile", place, record)
+    whose = robot.encode()
+    return _digest(b"ogm robot tile", len(whose).to_bytes(8, "little"), whose, place, record)
 
 
 def part_digest(key: str, value: bytes) -> bytes:
@@ -59,6 +67,10 @@ class Root:
     def tiles(self) -> int:
         """How many of the rows are tiles'."""
         return sum(isinstance(name, tuple) for name in self._digests)
+
+    def tiles_of(self, robots: Collection[str]) -> list[RowName]:
+        """The rows of these robots' tiles."""
+        return [name for name in self._digests if isinstance(name, tuple) and name[2] in robots]
 
     def put(self, name: RowName, digest: bytes | None) -> None:
         """A row is there now, in place of one of this name if there was one; None: it is there no more."""

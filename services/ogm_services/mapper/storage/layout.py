@@ -16,8 +16,10 @@ APPLICATION_ID = 0x4F474D31
 """In the file's header: "OGM1", so that other databases are told apart."""
 FIRST_VERSION = 1
 """Of the tables and of what is in them."""
-VERSION = 2
-"""The newest: of maps that forget, or in which something was erased, which version 1 knew nothing of."""
+SECOND_VERSION = 2
+"""Of maps that forget, or in which something was erased, which version 1 knew nothing of."""
+ROBOTS_VERSION = VERSION = 3
+"""The newest: of maps that keep robots apart."""
 WAL_BYTES = MEBIBYTE
 """From this size on the log's pages go into the file, and the log begins anew."""
 _PAGE = 4096
@@ -36,6 +38,13 @@ CREATE TABLE placing (key TEXT PRIMARY KEY, value BLOB NOT NULL, digest BLOB NOT
 COMMIT;
 """
 """Of settings and state there is one row, its id 1."""
+ROBOTS_TABLE = """
+CREATE TABLE tiles (
+    tx INTEGER NOT NULL, ty INTEGER NOT NULL, revision INTEGER NOT NULL,
+    record BLOB NOT NULL, digest BLOB NOT NULL, robot TEXT NOT NULL, UNIQUE (robot, tx, ty)
+)
+"""
+"""In place of the table of tiles, from ROBOTS_VERSION on."""
 
 
 @contextmanager

@@ -21,6 +21,8 @@ from ogm_core.tiles.store import TILE
 
 _COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range", "half_life")
 _OF_SHARE = ("cuts_x", "cuts_y", "index")
+_ABSENT = {"separate_robots": False}
+"""What is not there in the text stands for."""
 
 
 def as_text(settings: GridSettings) -> str:
@@ -33,6 +35,8 @@ def as_text(settings: GridSettings) -> str:
         **_of_model(settings.cell_model),
         **_of_share(settings.share),
     }
+    if settings.separate_robots:
+        fields["separate_robots"] = True
     if settings.clip is not None and settings.share is None:
         fields["clip"] = list(dataclasses.astuple(settings.clip))
     return json.dumps(fields)
@@ -68,7 +72,8 @@ def settings_as_stored(text: str, given: GridSettings, where: str, cure: str) ->
     # Other planes come of another model, which says it better.
     apart = [name for name in {**stored, **now} if stored.get(name) != now.get(name)]
     contradictions = [
-        f"{_name(name)} is {_shown(now.get(name))}, and there {_shown(stored.get(name))}"
+        f"{_name(name)} is {_shown(now.get(name, _ABSENT.get(name)))}, and there "
+        f"{_shown(stored.get(name, _ABSENT.get(name)))}"
         for name in apart
         if name != "planes" or apart == ["planes"]
     ]
@@ -99,7 +104,8 @@ def _of_share(share: Share | None) -> dict[str, Any]:
 
 def _name(field: str) -> str:
     """What a field is called among the settings."""
-    return f"shares.{field}" if field in _OF_SHARE else f"map.{field}"
+    section = "shares" if field in _OF_SHARE else "mapper" if field == "separate_robots" else "map"
+    return f"{section}.{field}"
 
 
 def _alike(stored: object, now: float) -> bool:

@@ -27,6 +27,7 @@ from ogm_services.mapper.storage.map_settings import as_text
 from ogm_services.mapper.storage.reading import RestoredMap, read_map
 from ogm_services.mapper.storage.rows import StoredState
 from ogm_services.mapper.storage.snapshots import Snapshots
+from ogm_services.mapper.storage.tile_rows import begin_tiles, delete_robots, write_tiles
 
 
 class MapStore:
@@ -130,11 +131,14 @@ class MapStore:
         whole = before is None or before.map.epoch != checkpoint.state.epoch
         text = as_text(settings)
         with self._transaction():
-            if whole:
-                self._connection.execute("DELETE FROM tiles")
             changes = rows.write_placing(self._connection, self._unstored)
-            for tile in _unstored_tiles(checkpoint, None if whole else before):
-                changes[tile.tx, tile.ty] = rows.write_tile(self._connection, tile)
+            if whole:
+                begin_tiles(self._connection, robots=settings.separate_robots)
+            else:
+                gone = _gone_robots(checkpoint, before)
+                changes |= delete_robots(self._connection, gone, self._root)
+            unstored = _unstored_tiles(checkpoint, None if whole else before)
+            changes |= write_tiles(self._connection, unstored)
             root = self._root.changed(changes, without_tiles=whole)
             state = rows.new_state(checkpoint.state, run, text, root)
             rows.write_state(self._connection, state)
@@ -192,6 +196,14 @@ def _which(path: Path) -> tuple[int, int]:
     """Which file it is, wherever it lies."""
     file = path.stat()
     return file.st_dev, file.st_ino
+
+
+def _gone_robots(checkpoint: Checkpoint, before: StoredState | None) -> set[str]:
+    """The robots that are stored, and have been forgotten since; they may have come again."""
+    if before is None:
+        return set()
+    since = {robot.robot: robot.since for robot in checkpoint.state.robots}
+    return {robot.robot for robot in before.map.robots if since.get(robot.robot) != robot.since}
 
 
 def _unstored_tiles(checkpoint: Checkpoint, before: StoredState | None) -> Iterator[KeptTile]:

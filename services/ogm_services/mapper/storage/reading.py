@@ -7,11 +7,13 @@ from pathlib import Path
 from ogm_core.errors import BadSetting, BadStore, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.separate_grid import grid_of
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root
 from ogm_services.mapper.storage.failures import told_as_damage
 from ogm_services.mapper.storage.map_settings import planes_in, settings_as_stored
 from ogm_services.mapper.storage.rows import StoredState
+from ogm_services.mapper.storage.tile_rows import read_tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +49,10 @@ def read_map(
             if folder is None
             else "give those, or store this map elsewhere"
         )
-        grid = OccupancyGrid(settings_as_stored(state.settings, settings, where, cure))
+        grid = grid_of(settings_as_stored(state.settings, settings, where, cure))
         root = Root()
         try:
-            grid.restore(state.map, rows.read_tiles(connection, planes_in(state.settings), root))
+            grid.restore(state.map, read_tiles(connection, planes_in(state.settings), root))
         except IndexError as error:
             raise BadStore(f"{error} lies outside the map") from error
         except LimitReached as error:

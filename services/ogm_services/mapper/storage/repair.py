@@ -18,7 +18,7 @@ import numpy as np
 from ogm_core.cells.arrays import CellArrays
 from ogm_core.errors import BadInput, BadStore
 from ogm_core.lattice import CellRect, Lattice, Region
-from ogm_core.tiles.checkpoint import KeptTile, MapState
+from ogm_core.tiles.checkpoint import KeptTile, MapState, RobotState
 from ogm_core.tiles.store import TILE
 from ogm_core.whole_files import write_files
 from ogm_services.mapper.storage import rows
@@ -29,6 +29,7 @@ from ogm_services.mapper.storage.folder_lock import FolderLock
 from ogm_services.mapper.storage.layout import FILE, created_file, open_file
 from ogm_services.mapper.storage.salvage import Salvage, salvage
 from ogm_services.mapper.storage.snapshots import Snapshots, snapshot_path
+from ogm_services.mapper.storage.tile_rows import begin_tiles, write_tiles
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,15 @@ class Repaired:
     exact: bool
     """Whether the map is, value for value, one that the mapper once had."""
     damaged: tuple[Region, ...]
-    """Where the tiles lay that are lost, m; they are unknown now."""
+    """Where the tiles lay that are lost, m; they are unknown now, or what other robots know of them."""
     nameless: int
     """Tiles that are lost, too, and nothing tells where they lay."""
     robots: tuple[str, ...]
     """Parts of the placing state that are lost."""
     snapshots: tuple[str, ...]
     """Those that could not be read."""
+    separate: bool = False
+    """Whether the map keeps robots apart, so that tiles were lost of some of them."""
 
 
 def repair(folder: Path, out: Path) -> Repaired:
@@ -80,6 +83,7 @@ def repair(folder: Path, out: Path) -> Repaired:
         nameless=found.nameless_tiles,
         robots=tuple(sorted(found.damaged_parts)),
         snapshots=lost,
+        separate=found.robots,
     )
 
 
@@ -131,8 +135,8 @@ def _readable(path: Path) -> BinaryIO:
 def _write(found: Salvage, path: Path) -> MapState:
     with created_file(path) as connection:
         written = rows.write_placing(connection, found.placing)
-        for tile, _ in found.tiles.values():
-            written[tile.tx, tile.ty] = rows.write_tile(connection, tile)
+        begin_tiles(connection, robots=found.robots)
+        written |= write_tiles(connection, (tile for tile, _ in found.tiles.values()))
         state = _new_state(found)
         run = "" if found.state is None else found.state.run
         rows.write_state(connection, rows.new_state(state, run, found.settings, Root().changed(written)))
@@ -145,10 +149,29 @@ def _new_state(found: Salvage) -> MapState:
     tiles = [tile for tile, _ in found.tiles.values()]
     if found.state is not None:
         known = found.state.map.known if found.exact else _known(tiles, found)
-        return found.state.map._replace(epoch=epoch, known=known)
+        return found.state.map._replace(epoch=epoch, known=known, robots=tuple(_robots(tiles, found)))
     revision = max((tile.revision for tile in tiles), default=0)
-    room = _union(CellRect(tile.tx * TILE, tile.ty * TILE, TILE, TILE) for tile in tiles)
-    return MapState(epoch, revision, None, 0, _known(tiles, found), room or CellRect(0, 0, 0, 0))
+    known, room, robots = _known(tiles, found), _room(tiles), tuple(_robots(tiles, found))
+    return MapState(epoch, revision, None, 0, known, room, robots=robots)
+
+
+def _robots(tiles: list[KeptTile], found: Salvage) -> Iterator[RobotState]:
+    """The robots of a map that keeps them apart: as they were, or what the tiles tell."""
+    if not found.robots:
+        return
+    stored = () if found.state is None else found.state.map.robots
+    if found.exact:
+        yield from stored
+        return
+    since = {robot.robot: robot.since for robot in stored}
+    for robot in sorted({tile.robot for tile in tiles}):
+        own = [tile for tile in tiles if tile.robot == robot]
+        yield RobotState(robot, since.get(robot, 0), _known(own, found), _room(own))
+
+
+def _room(tiles: Iterable[KeptTile]) -> CellRect:
+    rects = (CellRect(tile.tx * TILE, tile.ty * TILE, TILE, TILE) for tile in tiles)
+    return _union(rects) or CellRect(0, 0, 0, 0)
 
 
 def _known(tiles: Iterable[KeptTile], found: Salvage) -> CellRect | None:
@@ -176,8 +199,8 @@ def _regions(found: Salvage) -> Iterator[Region]:
     """Where the damaged tiles lie, those beside each other from west to east as one."""
     settings = json.loads(found.settings)
     lattice = Lattice(settings["resolution"], tuple(settings["anchor"]))
-    left = set(found.damaged_tiles)
-    for tx, ty in sorted(found.damaged_tiles, key=lambda name: (name[1], name[0])):
+    left = {(tx, ty) for tx, ty, _ in found.damaged_tiles}
+    for tx, ty in sorted(left, key=lambda place: (place[1], place[0])):
         if (tx, ty) not in left:
             continue
         end = tx

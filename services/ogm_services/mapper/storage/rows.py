@@ -2,26 +2,22 @@
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ogm_core.cells.forgetting import MapTime
-from ogm_core.cells.model import Plane
 from ogm_core.errors import BadStore
 from ogm_core.lattice import CellRect
-from ogm_core.tiles.checkpoint import KeptTile, MapState
-from ogm_core.tiles.codec import decode_tile, encode_tile
+from ogm_core.tiles.checkpoint import MapState, RobotState
 from ogm_services.mapper.storage.digests import (
     Changes,
     Root,
     part_digest,
     settings_digest,
     state_digest,
-    tile_digest,
 )
-from ogm_services.mapper.storage.layout import VERSION, version_of
+from ogm_services.mapper.storage.layout import SECOND_VERSION, version_of
 
-TILES = "SELECT tx, ty, revision, record, digest FROM tiles"
 PLACING = "SELECT key, value, digest FROM placing"
 _SINCE_VERSION_2 = {"time", "ticks", "erasures", "stretched"}
 """Of a map's state."""
@@ -80,39 +76,6 @@ def read_state(connection: sqlite3.Connection) -> StoredState | None:
     return _state_of(text, settings_text, root)
 
 
-def read_tile(row: tuple[object, ...], planes: tuple[Plane, ...]) -> tuple[KeptTile, bytes]:
-    """A row of TILES as a tile, and its digest.
-
-    Raises:
-        BadStore: it is damaged.
-    """
-    *numbers, record, digest = row
-    if not (_are(numbers, int) and isinstance(record, bytes) and isinstance(digest, bytes)):
-        raise BadStore("a row of a tile is damaged")
-    tx, ty, revision = numbers
-    assert isinstance(tx, int)
-    assert isinstance(ty, int)
-    assert isinstance(revision, int)
-    try:
-        if tile_digest((tx, ty), revision, record) != digest:
-            raise BadStore("its digest is another")  # noqa: TRY301
-        return KeptTile(tx, ty, revision, decode_tile(record, planes)), digest
-    except BadStore as error:
-        raise BadStore(f"tile ({tx}, {ty}): {error}") from error
-
-
-def read_tiles(connection: sqlite3.Connection, planes: tuple[Plane, ...], root: Root) -> Iterator[KeptTile]:
-    """Every tile, each put under `root`.
-
-    Raises:
-        BadStore: one of them is damaged.
-    """
-    for row in connection.execute(TILES):
-        tile, digest = read_tile(row, planes)
-        root.put((tile.tx, tile.ty), digest)
-        yield tile
-
-
 def read_placing(connection: sqlite3.Connection, root: Root) -> dict[str, bytes]:
     """Every part of the placing state by its key, each put under `root`.
 
@@ -143,18 +106,6 @@ def check_root(state: StoredState, root: Root) -> None:
         raise BadStore("tiles or placing state are missing, or older than the rest")
 
 
-def write_tile(connection: sqlite3.Connection, tile: KeptTile) -> bytes:
-    """Write a tile's row in place of the one before; its digest."""
-    record = encode_tile(tile.planes)
-    digest = tile_digest((tile.tx, tile.ty), tile.revision, record)
-    connection.execute(
-        "INSERT INTO tiles VALUES (?, ?, ?, ?, ?) ON CONFLICT (tx, ty) DO UPDATE SET "
-        "revision = excluded.revision, record = excluded.record, digest = excluded.digest",
-        (tile.tx, tile.ty, tile.revision, record, digest),
-    )
-    return digest
-
-
 def write_placing(connection: sqlite3.Connection, parts: Mapping[str, bytes | None]) -> Changes:
     """Write parts of the placing state; what is None is there no more. Their digests."""
     digests: Changes = {}
@@ -179,8 +130,10 @@ def write_state(connection: sqlite3.Connection, state: StoredState) -> None:
         del fields["erasures"]
     if state.map.stretched is None:
         del fields["stretched"]
-    if fields.keys() & _SINCE_VERSION_2 and version_of(connection) < VERSION:
-        connection.execute(f"PRAGMA user_version = {VERSION}")
+    if not state.map.robots:
+        del fields["robots"]
+    if fields.keys() & _SINCE_VERSION_2 and version_of(connection) < SECOND_VERSION:
+        connection.execute(f"PRAGMA user_version = {SECOND_VERSION}")
     text = json.dumps(fields)
     digest = state_digest(text, state.root)
     connection.execute("INSERT OR REPLACE INTO state VALUES (1, ?, ?, ?)", (text, state.root, digest))
@@ -195,15 +148,23 @@ def _state_of(text: str, settings: str, root: bytes) -> StoredState:
     run, tiles, known = (fields.pop(name) for name in ("run", "tiles", "known"))
     room = CellRect(*fields.pop("room"))
     time, ticks = fields.pop("time", None), fields.pop("ticks", ())
-    stretched = fields.pop("stretched", None)
+    stretched, robots = fields.pop("stretched", None), fields.pop("robots", ())
     state = MapState(
-        known=None if known is None else CellRect(*known),
+        known=_rect_of(known),
         room=room,
         time=MapTime(time, tuple(ticks)),
-        stretched=None if stretched is None else CellRect(*stretched),
+        stretched=_rect_of(stretched),
+        robots=tuple(
+            RobotState(robot, since, _rect_of(its_known), CellRect(*its_room))
+            for robot, since, its_known, its_room in robots
+        ),
         **fields,
     )
     return StoredState(state, run, settings, tiles, root)
+
+
+def _rect_of(numbers: list[int] | None) -> CellRect | None:
+    return None if numbers is None else CellRect(*numbers)
 
 
 def _are(values: object, kind: type) -> bool:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 from ogm_core.cells.model import Plane
 from ogm_core.errors import BadStore
-from ogm_core.tiles.checkpoint import KeptTile
+from ogm_core.tiles.checkpoint import NOBODY, KeptTile
 from ogm_services.mapper.storage import rows
 from ogm_services.mapper.storage.digests import Root, TileName, part_digest, settings_digest
 from ogm_services.mapper.storage.map_settings import planes_in
 from ogm_services.mapper.storage.rows import StoredState
+from ogm_services.mapper.storage.tile_rows import keeps_robots, name_of, read_tile, tiles_query
 
 _UNREADABLE = (sqlite3.Error, BadStore, OverflowError)
 
@@ -32,6 +33,8 @@ class Salvage:
     damaged_parts: set[str] = field(default_factory=set)
     exact: bool = False
     """Whether all is there, and of one moment."""
+    robots: bool = False
+    """Whether the map keeps robots apart."""
 
     @property
     def nameless_tiles(self) -> int:
@@ -49,17 +52,18 @@ def salvage(connection: sqlite3.Connection) -> Salvage:
     settings, state = _settings(connection), None
     with suppress(*_UNREADABLE):
         state = rows.read_state(connection)
-    found = Salvage(settings, planes_in(settings), state)
+    found, query = Salvage(settings, planes_in(settings), state), tiles_query(connection)
     for row_id in _each(connection, "tiles", "rowid"):
         with suppress(*_UNREADABLE):
-            row = connection.execute(f"{rows.TILES} WHERE rowid = ?", (row_id,)).fetchone()
+            row = connection.execute(f"{query} WHERE rowid = ?", (row_id,)).fetchone()
             if row is not None:
-                tile, digest = rows.read_tile(row, found.planes)
-                found.tiles[tile.tx, tile.ty] = tile, digest
-    for name in _each(connection, "tiles", "tx, ty"):
+                tile, digest = read_tile(row, found.planes)
+                found.tiles[name_of(tile)] = tile, digest
+    found.robots = keeps_robots(connection)
+    for name in _each(connection, "tiles", "robot, tx, ty" if found.robots else f"'{NOBODY}', tx, ty"):
         match name:
-            case (int(tx), int(ty)) if (tx, ty) not in found.tiles:
-                found.damaged_tiles.add((tx, ty))
+            case (str(robot), int(tx), int(ty)) if (tx, ty, robot) not in found.tiles:
+                found.damaged_tiles.add((tx, ty, robot))
     _read_placing(connection, found)
     found.exact = state is not None and _is_exact(found, state)
     return found

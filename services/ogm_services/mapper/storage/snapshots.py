@@ -18,6 +18,7 @@ from ogm_services.mapper.storage.layout import FILE, created_file, flush_folder,
 from ogm_services.mapper.storage.map_settings import planes_in
 from ogm_services.mapper.storage.reading import read_map
 from ogm_services.mapper.storage.rows import StoredState
+from ogm_services.mapper.storage.tile_rows import copy_tiles
 from ogm_services.replies.answer import NameTaken, UnknownSnapshot
 
 FOLDER = "snapshots"
@@ -35,8 +36,9 @@ class SavedMap:
 
     @property
     def nbytes(self) -> int:
-        """What its tiles take in memory."""
-        return self.state.tiles * tile_bytes(planes_in(self.state.settings))
+        """What its tiles take in memory, and their sums where they are those of robots, at most."""
+        tiles = self.state.tiles * (2 if self.state.map.robots else 1)
+        return tiles * tile_bytes(planes_in(self.state.settings))
 
     def grid(self, settings: GridSettings) -> OccupancyGrid:
         """The map, value for value, every row of it checked.
@@ -88,9 +90,7 @@ class Snapshots:
             self._folder.mkdir(exist_ok=True)
             flush_folder(self._store)
             with created_file(path) as snapshot:
-                for row in connection.execute(f"{rows.TILES} ORDER BY tx, ty"):
-                    snapshot.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?)", row)
-                    root.put((row[0], row[1]), row[4])
+                copy_tiles(connection, snapshot, root)
                 state = rows.new_state(stored.map, run or stored.run, stored.settings, root)
                 rows.write_state(snapshot, state)
             return _told(path, state)
