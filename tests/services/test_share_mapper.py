@@ -14,6 +14,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
+from ogm_services.mapper.serving.other_mappers import AlreadyMapped
 
 MAP = {"resolution": 0.5, "reach": 4.0}
 STAR = {"angle_increment": math.tau / 8, "range_max": 8.0}
@@ -163,6 +164,16 @@ def check_http(http):
     for path in ("/map.png", "/map.yaml", "/tiles.json", "/cell?x=0&y=0", "/quality", "/ws"):
         assert http.get(path).status_code == 404, path
     assert http.post("/reset").status_code == 404
+
+
+def test_a_second_mapper_of_the_same_share_ends(shares, start_mapper):
+    network = {"listen": [], "connect": [shares.both[0].endpoint]}
+    with (
+        pytest.raises(AlreadyMapped, match=r"another mapper of share 1 of map 'hall' is alive .*/mapper/1/"),
+        start_mapper(network=network, map=MAP, shares={"cuts_x": [0.0], "index": 1}),
+    ):
+        pass
+    assert shares.status(1)["share"]["index"] == 1, "the first goes on"
 
 
 def test_what_a_share_has_no_memory_for_it_drops_for_its_cells_only(shares, monkeypatch):

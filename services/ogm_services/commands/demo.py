@@ -13,7 +13,7 @@ import typer
 
 from ogm_client.map_client import MapClient
 from ogm_client.session import listens_on, resolve_listen
-from ogm_core.errors import OgmError
+from ogm_core.errors import BadSetting, OgmError
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.status import ScanCounts
 from ogm_services.mapper.service import LIVE_MAP
@@ -53,9 +53,12 @@ def run_demo(
     its end.
 
     Raises:
+        BadSetting: the map is cut.
         BadWorld: there is no such world.
         DemoFailed: the mapper or the simulator failed.
     """
+    if settings.shares.cuts.count > 1 or settings.shares.index is not None:
+        raise BadSetting("shares: a demo has one mapper: leave out cuts_x, cuts_y and index")
     world_named(world, start)  # whatever there is to tell of it, the simulator tells
     if out is not None:
         check_folder(out)

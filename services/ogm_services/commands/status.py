@@ -1,13 +1,14 @@
 """`ogm status`: what a running mapper is doing, as tables."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 from rich import box
 from rich.table import Table
 
-from ogm_core.status import PoseCounts, RobotStatus, Status, StoreInfo
+from ogm_core.status import PoseCounts, RobotStatus, ShareInfo, Status, StoreInfo
 from ogm_services.replies.what_helps import HINT_HELPS, LOST_HELPS, ON_ROBOTS_MEANS, WHAT_HELPS
 
 
@@ -36,9 +37,11 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
     rows = {
         "epoch": status.epoch,
         "run": status.run,
+        "share": "" if status.share is None else _share(status.share),
         "revision": status.revision,
         "stamp": local_time(status.stamp),
         "scans": f"{scans.received} received, {scans.integrated} integrated, {scans.pending} pending",
+        "of others": "" if scans.of_others is None else _nonzero(asdict(scans.of_others)),
         "a second": rates.in_words() if rates else "",
         "dropped": _nonzero(scans.dropped),
         "poses": _poses(status.poses),
@@ -61,6 +64,12 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         whole,
         *(table for table in (_robots(shown), _sources(shown, rates), _wrong(shown)) if table.rows),
     ]
+
+
+def _share(share: ShareInfo) -> str:
+    """Which share of the map it is, and from where to where it reaches."""
+    edges = ["open" if edge is None else f"{edge:g}" for edge in share.bounds]
+    return f"{share.index} of {share.shares}: x {edges[0]} to {edges[2]}, y {edges[1]} to {edges[3]} m"
 
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Table:

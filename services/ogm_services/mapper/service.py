@@ -293,7 +293,8 @@ class MapperService:
     def _note_addresses(self, listener: socket.socket, config: NetworkConfig) -> None:
         """Put down where it is asked, for who started it; warn if just anybody may empty the map there."""
         host, port = listener.getsockname()[:2]
-        if self._access.token is None and not ipaddress.ip_address(host).is_loopback:
+        writes = self.parts.share is None
+        if writes and self._access.token is None and not ipaddress.ip_address(host).is_loopback:
             log.warning(
                 "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file",
                 host,

@@ -1,0 +1,37 @@
+"""`ogm status` of a share, and what a demo says of a map that is cut."""
+
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from ogm_core.errors import BadSetting
+from ogm_core.shares import Cuts, Share
+from ogm_core.status import ScansOfOthers
+from ogm_services.commands.demo import run_demo
+from ogm_services.commands.status import status_tables
+from ogm_services.settings.settings import Settings
+from status_json import STATUS
+
+
+def shown(status):
+    console = Console(width=120, record=True)
+    for table in status_tables(status):
+        console.print(table)
+    return console.export_text()
+
+
+def test_the_table_says_which_share_it_is_and_what_others_count():
+    scans = replace(STATUS.scans, of_others=ScansOfOthers(border=3, elsewhere=5))
+    share = replace(STATUS, share=Share(Cuts((0.0, 6.4)), 2).info(), scans=scans)
+    text = shown(share)
+    assert "2 of 3: x 6.4 to open, y open to open m" in text
+    assert "3 border, 5 elsewhere" in text
+    assert "of others" not in shown(STATUS)
+
+
+@pytest.mark.parametrize("shares", [{"cuts_x": [0.0]}, {"index": 0}])
+def test_a_demo_has_no_shares(shares):
+    settings = Settings.model_validate({"map": {"reach": 5.0}, "shares": shares})
+    with pytest.raises(BadSetting, match=r"^shares: a demo has one mapper"):
+        run_demo(settings, world="lab", start=None, duration=None, out=None)
