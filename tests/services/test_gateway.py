@@ -15,6 +15,7 @@ from ogm_client.session import NetworkConfig, open_session
 from ogm_core.files.map_files import encode_npz
 from ogm_core.grid import OccupancyGrid
 from ogm_core.status import StoreInfo
+from ogm_core.types import Pose
 from ogm_services.mapper.gateway.gateway_service import GatewayService
 from ogm_services.settings.settings import Settings
 from shares_desk import SETTINGS, FakeShare, ServedShare, scan_at
@@ -123,6 +124,30 @@ def test_two_gateways_give_equal_tags_to_equal_bytes(fleet):
         one, other = first.get(f"/{name}"), second.get(f"/{name}")
         assert one.headers["ETag"] == other.headers["ETag"]
         assert one.content == other.content
+
+
+def test_two_gateways_give_tiles_equal_tags_and_a_new_one_when_their_share_has_changed(fleet):
+    (_, first), (_, second) = fleet.gateway(), fleet.gateway()
+    fleet.integrate(5)
+
+    def tiles(http):
+        return {(x, y): http.get(f"/tiles/16/{x}/{y}.png") for x in (-1, 0) for y in (-1, 0)}
+
+    one, other = tiles(first), tiles(second)
+    for place, tile in one.items():
+        assert tile.headers["ETag"] == other[place].headers["ETag"]
+        assert tile.headers["ETag"].startswith(f'"{tile.headers["OGM-Epoch"]}-')
+        assert tile.content == other[place].content
+    assert len({tile.headers["ETag"] for tile in one.values()}) == 4
+    placed = scan_at(99, fleet.rng)
+    fleet.shares[3].share.integrate(placed[0], Pose(7.0, 7.0, 0.0))  # in the north-east
+    changed = tiles(first)
+    same = {place for place, tile in changed.items() if tile.headers["ETag"] == one[place].headers["ETag"]}
+    assert same == {(-1, -1), (-1, 0), (0, 0)}
+    asked = {"If-None-Match": one[0, 0].headers["ETag"]}
+    assert first.get("/tiles/16/0/0.png", headers=asked).status_code == 304
+    tag = changed[0, -1].headers["ETag"].strip('"')
+    assert "immutable" in first.get(f"/tiles/16/0/-1.png?rev={tag}").headers["Cache-Control"]
 
 
 def test_only_what_has_changed_is_asked_for(fleet):

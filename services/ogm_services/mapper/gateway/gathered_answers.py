@@ -57,6 +57,7 @@ class GatheredAnswers(Answers):
         self._gathered = gathered
         self._gathering = gathering
         self._statuses = statuses
+        self.map_tiles.tag = gathered.tags.tag
         self._up_since = time.monotonic()
 
     @property

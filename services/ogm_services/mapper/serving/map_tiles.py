@@ -4,8 +4,8 @@ import json
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ogm_core.cells.value_bytes import COLOURS, legend
@@ -54,10 +54,14 @@ class MapTile:
     """Since when it is so; None: it is empty."""
     resolution: float
     """Metres per pixel."""
+    named: str | None = None
+    """Its tag, where that is not made of its map and its revision."""
 
     @property
     def tag(self) -> str:
         """What its strong validator has between its quotes: another one once the tile has changed."""
+        if self.named is not None:
+            return self.named
         life = f"{self.of.epoch}-{self.of.run}"
         return f"{self.of.epoch}-empty" if self.revision is None else f"{life}-{self.revision}"
 
@@ -71,6 +75,8 @@ class MapTiles:
         """`room`: bytes of streams that may be kept; `in_flight` counts what is being made."""
         self._map = live_map
         self._room = room
+        self.tag: Callable[[MapSnapshot, Square], str] | None = None
+        """What makes the tags of tiles that HTTP serves of a map, where they are not its own."""
         self._in_flight = in_flight or InFlight()
         self._pyramid = TilePyramid()
         self._lock = threading.Lock()
@@ -95,9 +101,13 @@ class MapTiles:
         Raises:
             Busy: there is no memory left to make it.
         """
-        snapshot = self._map.snapshot().finest()
+        copy = self._map.snapshot()
+        snapshot = copy.finest()
         revision = revision_of(tiled_view(snapshot).tiles, snapshot.model, square)
-        return self.tile_of(snapshot, square, palette, revision)
+        tile = self.tile_of(snapshot, square, palette, revision)
+        if self.tag is None or revision is None:
+            return tile
+        return replace(tile, named=self.tag(copy, square))
 
     def tile_of(self, snapshot: MapSnapshot, square: Square, palette: str, revision: int | None) -> MapTile:
         """A tile of a copy of the map, which has that `revision_of`.

@@ -23,6 +23,7 @@ from ogm_core.wire.map_update import MapUpdate
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.shares.layout import ShareLayout
 from ogm_services.mapper.shares.share_parts import MissingShare, PartState, life_of, tag_of
+from ogm_services.mapper.shares.tile_tags import TileTags
 
 
 class OtherMap(BadInput):
@@ -85,6 +86,8 @@ class GatheredMap:
         self.layout = layout
         self.run = run
         self._model = compiled(settings.cell_model)
+        self.tags = TileTags(layout, self._model)
+        """Of its tiles; any thread."""
         self._taking = threading.Lock()
         parts: tuple[PartState | None, ...] = (None,) * layout.count
         self.state = Gathered(parts, no_tiles(), life_of(parts), tag_of(parts))
@@ -118,6 +121,8 @@ class GatheredMap:
             held = self.state.parts[share]
             if part == held:
                 return
+            # Before anybody can see a tile of it.
+            self.tags.note(self.state.copies.revision + 1, share, part, self.state.copies)
             copies = self._pasted(share, held, updates)
             parts = (*self.state.parts[:share], part, *self.state.parts[share + 1 :])
             self.state = Gathered(parts, copies, life_of(parts), tag_of(parts))
