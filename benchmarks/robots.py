@@ -27,11 +27,16 @@ WAIT = 10.0
 
 @dataclass(frozen=True)
 class Drive:
-    """What robots do: through `scans`, round and round, from different places, for `seconds`."""
+    """What robots do: through `scans`, round and round, from different places, for `seconds`.
+
+    So many `robots`, each of which puts `rate` scans a second.
+    """
 
     endpoint: str
     scans: Sequence[Scan]
     seconds: float
+    robots: int = ROBOTS
+    rate: float = RATE
 
 
 @contextmanager
@@ -56,13 +61,13 @@ def driving(drive: Drive) -> Iterator[Connection]:
         process.kill()
 
 
-def timetable(seconds: float) -> list[tuple[float, int]]:
+def timetable(seconds: float, robots: int = ROBOTS, rate: float = RATE) -> list[tuple[float, int]]:
     """When every scan is due, s from the start, and which robot's it is: in order."""
     due = []
-    for robot in range(ROBOTS):
-        period = (1.0 + DRIFT * robot) / RATE
+    for robot in range(robots):
+        period = (1.0 + DRIFT * robot) / rate
         for k in count():
-            at = robot / (ROBOTS * RATE) + k * period
+            at = robot / (robots * rate) + k * period
             if at >= seconds:
                 break
             due.append((at, robot))
@@ -72,7 +77,9 @@ def timetable(seconds: float) -> list[tuple[float, int]]:
 def _drive(drive: Drive, connection: Connection) -> None:
     with ExitStack() as opening:
         session = opening.enter_context(open_session(NetworkConfig(connect=(drive.endpoint,))))
-        robots = [opening.enter_context(RobotPublisher(f"robot{k}", session=session)) for k in range(ROBOTS)]
+        robots = [
+            opening.enter_context(RobotPublisher(f"robot{k}", session=session)) for k in range(drive.robots)
+        ]
         for robot in robots:
             robot.wait_for_mapper(STARTED)
         connection.send("ready")
@@ -83,11 +90,11 @@ def _drive(drive: Drive, connection: Connection) -> None:
 
 
 def _put_all(drive: Drive, robots: Sequence[RobotPublisher]) -> NDArray[np.int64]:
-    due = timetable(drive.seconds)
-    put, done = np.empty(len(due), np.int64), [0] * ROBOTS
+    due = timetable(drive.seconds, drive.robots, drive.rate)
+    put, done = np.empty(len(due), np.int64), [0] * drive.robots
     begin = time.monotonic()
     for n, (at, k) in enumerate(due):
-        place = (k * len(drive.scans) // ROBOTS + done[k]) % len(drive.scans)
+        place = (k * len(drive.scans) // drive.robots + done[k]) % len(drive.scans)
         scan = replace(drive.scans[place], run=robots[k].run, seq=done[k])
         done[k] += 1
         time.sleep(max(0.0, begin + at - time.monotonic()))
