@@ -18,8 +18,9 @@ def range_weight(length):
 def beams(scan, pose, settings):
     """(kind, start, end, range weight) of every beam that counts; points in sixteenths of a cell."""
     lattice = settings.lattice
-    reach = settings.reach if settings.reach is not None else math.inf
-    clear_range = settings.clear_range if settings.clear_range is not None else math.inf
+    # A scan's own distances come first.
+    reach = next((d for d in (scan.reach, settings.reach) if d is not None), math.inf)
+    clear_range = next((d for d in (scan.clear_range, settings.clear_range) if d is not None), math.inf)
     limits = scan.range_min, scan.range_max, settings.alpha, clear_range, reach
     sixteenths = {"resolution": lattice.resolution / 16, "anchor": lattice.anchor, "alpha": settings.alpha}
     found = naive.observations(scan, pose, **sixteenths, clear_range=clear_range, reach=reach)
