@@ -42,7 +42,7 @@ FLAGS = {
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
-    "build": "--threads --workers --out --hold-out --world --figure --config --print-config "
+    "build": "--threads --workers --dask --out --hold-out --world --figure --config --print-config "
     f"{MAP_FLAGS} {LOG_FLAGS}",
     "merge": "--out -o",
     "info": "--json",
@@ -421,7 +421,7 @@ def test_build(ogm, stub):
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
     logs, out, settings = run.args
     assert (logs, out, settings.map.preset) == ([Path("a.jsonl")], Path("maps"), "lab")
-    rest = {"world": None, "figure": None, "workers": 1}
+    rest = {"world": None, "figure": None, "workers": 1, "dask": None}
     assert run.options == {"read_as": ReadAs(8.0), "held": HeldScans(5), **rest}
     robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")
     assert ogm("build", "a.jsonl", "--out", "maps", *robots).exit_code == 0

@@ -5,7 +5,7 @@ are held against it, to judge how well it agrees with them: from memory, or in a
 are too large for that.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,8 +20,9 @@ from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
+from ogm_services.commands.batch.dask_workers import DaskWorkers
 from ogm_services.commands.batch.mapping import files_of_build, map_by_workers
-from ogm_services.commands.batch.workers import WorkerProcesses
+from ogm_services.commands.batch.workers import WorkerProcesses, Workers
 from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
 from ogm_services.commands.log_readers import AS_IT_SAYS, ReadAs
 from ogm_services.commands.log_report import LogReport
@@ -41,6 +42,7 @@ def run_build(
     world: str | None = None,
     figure: Path | None = None,
     workers: int = 1,
+    dask: str | None = None,
 ) -> None:
     """Map logs and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
 
@@ -48,7 +50,7 @@ def run_build(
 
     `held` keeps scans out of the map, and judges it by them.
     `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
-    With several `workers`, processes, the files are the same.
+    With several `workers`, processes, or those of `dask`, the address of a scheduler, the files are the same.
 
     Raises:
         BadInput: the world is none, a log is given twice, or the folder or the figure cannot be written;
@@ -61,7 +63,7 @@ def run_build(
     if figure is not None:
         check_figure(figure, out)
     _check_once(logs)
-    with _mapped(logs, out, settings, read_as, held, workers) as mapped:
+    with _mapped(logs, out, settings, read_as, held, partial(_workers, workers, dask)) as mapped:
         snapshot, reports = mapped.grid.snapshot(), mapped.reports
         _tell(mapped, snapshot)
         finest = snapshot.finest()
@@ -79,16 +81,28 @@ def run_build(
 
 @contextmanager
 def _mapped(
-    logs: Sequence[Path], out: Path, settings: Settings, read_as: ReadAs, held: HeldScans, workers: int
+    logs: Sequence[Path],
+    out: Path,
+    settings: Settings,
+    read_as: ReadAs,
+    held: HeldScans,
+    make_workers: Callable[[], Workers | None],
 ) -> Iterator[MappedLogs]:
     """The map of the logs; inside, it can be judged."""
-    if workers == 1:
-        yield map_logs(readers_of(logs, read_as, settings), settings, held)
-        return
     with ExitStack() as stack:
-        files = stack.enter_context(files_of_build(out))
-        at_work = stack.enter_context(WorkerProcesses(workers))
+        workers = make_workers()
+        if workers is None:
+            yield map_logs(readers_of(logs, read_as, settings), settings, held)
+            return
+        at_work, files = stack.enter_context(workers), stack.enter_context(files_of_build(out))
         yield map_by_workers(logs, settings, read_as=read_as, held=held, workers=at_work, files=files)
+
+
+def _workers(count: int, dask: str | None) -> Workers | None:
+    """Who works beside this process, None if nobody does."""
+    if dask is not None:
+        return DaskWorkers(dask)
+    return None if count == 1 else WorkerProcesses(count)
 
 
 def _check_once(logs: Sequence[Path]) -> None:

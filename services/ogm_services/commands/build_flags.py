@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from ogm_core.errors import BadInput
 from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_flags import LogFlags, Logs
@@ -53,8 +54,16 @@ def build(
     workers: Annotated[
         int, typer.Option(min=1, metavar="N", help="Work in so many processes; the map is the same.")
     ] = 1,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Work on the Dask cluster of this scheduler, as tcp://host:8786."
+        ),
+    ] = None,
 ) -> None:
     """Make a map of recorded logs, one of all of them, without network."""
+    if dask is not None and workers > 1:
+        raise BadInput("--workers: a Dask cluster has the workers that it has: leave out --workers or --dask")
     held = HeldScans(hold_out)
     robots = log_flags.robots
     groups = map_flags, thread_flags
@@ -71,4 +80,5 @@ def build(
             world=world,
             figure=figure,
             workers=workers,
+            dask=dask,
         )

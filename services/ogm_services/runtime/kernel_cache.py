@@ -62,7 +62,7 @@ def kernel_cache() -> Iterator[Path]:
     """
     given = os.environ.get(VARIABLE)
     parent = Path(given) if given else _place_of_user()
-    own = _of_these_sources()
+    own = name_of_sources()
     folder = parent if parent.name == own else parent / own  # the former in a process that ogm has started
     fault = _fault(folder)
     if fault is None:
@@ -152,7 +152,7 @@ def _numba_uses(folder: Path) -> Iterator[None]:
         os.environ.update(before)
 
 
-def _of_these_sources() -> str:
+def name_of_sources() -> str:
     """Name that changes with any source of the core, and with the compiler.
 
     numba itself tells Python's versions and processors apart; its own versions only so that one takes the

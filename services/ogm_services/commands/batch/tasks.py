@@ -6,7 +6,8 @@ from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from ogm_services.runtime.kernel_cache import kernel_cache
+from ogm_core.errors import BadInput
+from ogm_services.runtime.kernel_cache import kernel_cache, name_of_sources
 from ogm_services.runtime.log_lines import log_nothing
 from ogm_services.runtime.progress import nothing_shown
 
@@ -33,6 +34,19 @@ def run_task(task: Task) -> Any:  # noqa: ANN401 - whatever the function returns
         _settle_kernels()
     with nothing_shown(), log_nothing():
         return getattr(import_module(task.module), task.name)(*task.arguments)
+
+
+def run_task_of(sources: str, task: Task) -> Any:  # noqa: ANN401 - whatever the function returns
+    """Run a task of a build that was begun by `sources` (see `name_of_sources`): others might map otherwise.
+
+    Raises:
+        BadInput: those of this process are others.
+    """
+    if name_of_sources() != sources:
+        raise BadInput(
+            "--dask: a worker has another version of zenoh-ogm, or of numba: install the same everywhere"
+        )
+    return run_task(task)
 
 
 @cache

@@ -12,6 +12,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait as wait_for
 from types import TracebackType
@@ -23,6 +24,7 @@ from ogm_services.runtime.progress import progress_bar
 
 MOST_DEATHS = 3
 """So many workers may a task cost, at most."""
+_TRACKER: Any = resource_tracker._resource_tracker  # noqa: SLF001
 
 
 class WorkerDied(OgmError):
@@ -31,12 +33,11 @@ class WorkerDied(OgmError):
     slug = "worker-died"
 
 
-class Workers(Protocol):
+class Workers(AbstractContextManager["Workers"], Protocol):
     """Who runs tasks. Used in a `with`."""
 
-    @property
-    def count(self) -> int:
-        """How many tasks are run at the same time."""
+    count: int
+    """How many tasks are run at the same time."""
 
     def run(self, text: str, tasks: Sequence[Task]) -> list[Any]:
         """Run tasks in any order, and return what each gave, in theirs; `text` names them all.
@@ -46,13 +47,14 @@ class Workers(Protocol):
         """
 
 
-class WorkerProcesses:
+class WorkerProcesses(Workers):
     """Tasks are run by so many processes at the same time."""
 
     def __init__(self, count: int) -> None:
         """Start none before there is a task."""
         self.count = count
         self._others = set(multiprocessing.active_children())
+        self._tracked = _TRACKER._pid is None  # noqa: SLF001 - nobody else's children need it
         self._executor = self._new()
 
     def __enter__(self) -> Self:
@@ -64,8 +66,9 @@ class WorkerProcesses:
         if kind is not None:
             self._kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
-        # Python's own helper process ends with this one, but a moment later, unless it is stopped.
-        resource_tracker._resource_tracker._stop()  # type: ignore[attr-defined]  # noqa: SLF001
+        if self._tracked:
+            # Python's helper process would end with this one, but a moment later.
+            _TRACKER._stop()  # noqa: SLF001
 
     def run(self, text: str, tasks: Sequence[Task]) -> list[Any]:
         """See `Workers.run`."""
