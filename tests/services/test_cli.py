@@ -42,7 +42,7 @@ FLAGS = {
     f"--range-max --noise --out --scans --connect-timeout --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "record": f"--out -o --repair --config {NETWORK_FLAGS} {SERVICE_FLAGS}",
     "replay": f"--speed --config {LOG_FLAGS} {NETWORK_FLAGS} {SERVICE_FLAGS}",
-    "build": "--threads --workers --dask --out --hold-out --world --figure --config --print-config "
+    "build": "--threads --workers --dask --each --out --hold-out --world --figure --config --print-config "
     f"{MAP_FLAGS} {LOG_FLAGS}",
     "merge": "--out -o",
     "info": "--json",
@@ -429,6 +429,20 @@ def test_build(ogm, stub):
     assert [(robot.match, robot.radius) for robot in run.args[2].robots] == [("a*", 0.3), ("b", None)]
     assert ogm("build", "a.jsonl", *["--out", "maps", "--world", "lab", "--figure", "a.pdf"]).exit_code == 0
     assert (run.options["world"], run.options["figure"]) == ("lab", Path("a.pdf"))
+
+
+def test_build_each(ogm, stub):
+    run = stub("ogm_services.commands.build_each", "run_each")
+    flags = "--out maps --each --workers 3 --world lab"
+    assert ogm("build", "a.jsonl", "b.log", *flags.split()).exit_code == 0
+    assert run.args[:2] == ([Path("a.jsonl"), Path("b.log")], Path("maps"))
+    expected = {"read_as": ReadAs(), "held": HeldScans(), "world": "lab", "workers": 3, "dask": None}
+    assert run.options == expected
+    for flags, said in (
+        ("--each --figure a.png", "--figure draws one map: leave it out with --each"),
+        ("--workers 2 --dask tcp://a:1", "--workers: a Dask cluster has the workers that it has"),
+    ):
+        assert said in one_line(ogm("build", "a.log", "--out", "x", *flags.split()), 2)
 
 
 def test_bad_input_found_later_is_exit_code_2(ogm, stub):

@@ -44,6 +44,33 @@ def run_build(
     workers: int = 1,
     dask: str | None = None,
 ) -> None:
+    """Map logs, and tell of it: see `build_map`."""
+    report, warnings = build_map(
+        *(logs, out, settings),
+        read_as=read_as,
+        held=held,
+        world=world,
+        figure=figure,
+        workers=workers,
+        dask=dask,
+    )
+    for line in warnings:
+        typer.echo(line, err=True)
+    typer.echo(report)
+
+
+def build_map(
+    logs: Sequence[Path],
+    out: Path,
+    settings: Settings,
+    *,
+    read_as: ReadAs,
+    held: HeldScans,
+    world: str | None = None,
+    figure: Path | None = None,
+    workers: int = 1,
+    dask: str | None = None,
+) -> tuple[str, list[str]]:
     """Map logs and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
 
     Of several logs also logs.json, which says what became of each.
@@ -51,6 +78,7 @@ def run_build(
     `held` keeps scans out of the map, and judges it by them.
     `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
     With several `workers`, processes, or those of `dask`, the address of a scheduler, the files are the same.
+    Returns how it went, and what should be known of the logs.
 
     Raises:
         BadInput: the world is none, a log is given twice, or the folder or the figure cannot be written;
@@ -58,14 +86,15 @@ def run_build(
         BadRecording: a log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
-    true_world = None if world is None else world_named(world, tell=partial(typer.echo, err=True))
+    warnings: list[str] = []
+    true_world = None if world is None else world_named(world, tell=warnings.append)
     check_place(out)
     if figure is not None:
         check_figure(figure, out)
-    _check_once(logs)
-    with _mapped(logs, out, settings, read_as, held, partial(_workers, workers, dask)) as mapped:
+    check_once(logs)
+    with _mapped(logs, out, settings, read_as, held, partial(workers_of, workers, dask)) as mapped:
         snapshot, reports = mapped.grid.snapshot(), mapped.reports
-        _tell(mapped, snapshot)
+        warnings += _warnings(mapped, snapshot)
         finest = snapshot.finest()
         quality, report = _judged(mapped, finest, held), _in_words(out, reports)
     if true_world is not None:
@@ -76,7 +105,7 @@ def run_build(
     write_map(out, snapshot, quality, of_logs)
     if figure is not None and drawn is not None:
         write_figure(figure, drawn)
-    typer.echo(report)
+    return report, warnings
 
 
 @contextmanager
@@ -94,18 +123,18 @@ def _mapped(
         if workers is None:
             yield map_logs(readers_of(logs, read_as, settings), settings, held)
             return
-        at_work, files = stack.enter_context(workers), stack.enter_context(files_of_build(out))
+        files, at_work = stack.enter_context(files_of_build(out)), stack.enter_context(workers)
         yield map_by_workers(logs, settings, read_as=read_as, held=held, workers=at_work, files=files)
 
 
-def _workers(count: int, dask: str | None) -> Workers | None:
+def workers_of(count: int, dask: str | None) -> Workers | None:
     """Who works beside this process, None if nobody does."""
     if dask is not None:
         return DaskWorkers(dask)
     return None if count == 1 else WorkerProcesses(count)
 
 
-def _check_once(logs: Sequence[Path]) -> None:
+def check_once(logs: Sequence[Path]) -> None:
     """Refuse logs whose scans would count twice."""
     files = [log.resolve() for log in logs]
     for n, log in enumerate(logs):
@@ -113,17 +142,19 @@ def _check_once(logs: Sequence[Path]) -> None:
             raise BadInput(f"{log}: this log is given twice: its scans would count twice")
 
 
-def _tell(mapped: MappedLogs, snapshot: MapSnapshot) -> None:
-    """Say what should be known of the logs; MapEmpty if they gave no map."""
+def _warnings(mapped: MappedLogs, snapshot: MapSnapshot) -> list[str]:
+    """What should be known of the logs; MapEmpty if they gave no map."""
     reports = mapped.reports
     if snapshot.empty or not mapped.grid.cell_updates:
         complaints = [line for one in reports for line in one.complaints]
         said = "; ".join(f"{one.log}: no scan changed the map ({one.text})" for one in reports)
         raise MapEmpty("; ".join([said, *complaints[:3]]))
-    for one in reports:
-        of_log = f"{one.log}: " if len(reports) > 1 else ""
-        for line in [*one.complaints, *one.doubts]:
-            typer.echo(line if line.startswith(of_log) else of_log + line, err=True)
+    several = len(reports) > 1
+    return [
+        f"{one.log}: {line.removeprefix(f'{one.log}: ')}" if several else line
+        for one in reports
+        for line in [*one.complaints, *one.doubts]
+    ]
 
 
 def _in_words(out: Path, reports: Sequence[LogReport]) -> str:

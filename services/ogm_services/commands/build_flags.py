@@ -1,5 +1,6 @@
 """The command `ogm build` and its flags; what it does is in `build`, which is loaded when it runs."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -54,6 +55,10 @@ def build(
     workers: Annotated[
         int, typer.Option(min=1, metavar="N", help="Work in so many processes; the map is the same.")
     ] = 1,
+    each: Annotated[
+        bool,
+        typer.Option("--each", help="Map every log by itself, into a folder of DIR that is named after it."),
+    ] = False,
     dask: Annotated[
         str | None,
         typer.Option(
@@ -64,21 +69,26 @@ def build(
     """Make a map of recorded logs, one of all of them, without network."""
     if dask is not None and workers > 1:
         raise BadInput("--workers: a Dask cluster has the workers that it has: leave out --workers or --dask")
+    if each and figure is not None:
+        raise BadInput("--figure draws one map: leave it out with --each")
     held = HeldScans(hold_out)
     robots = log_flags.robots
     groups = map_flags, thread_flags
     settings = settings_from(config, *groups, sensors=sensor, robots=robots, print_config=print_config)
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
-        with loading():
-            from ogm_services.commands.build import run_build
-        run_build(
-            logs,
-            out,
-            settings,
+        if each:
+            with loading():
+                from ogm_services.commands.build_each import run_each as run
+        else:
+            with loading():
+                from ogm_services.commands.build import run_build
+
+            run = partial(run_build, figure=figure)
+        run(
+            *(logs, out, settings),
             read_as=log_flags.read_as(bag.options(topics)),
             held=held,
             world=world,
-            figure=figure,
             workers=workers,
             dask=dask,
         )
