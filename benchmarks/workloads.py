@@ -164,9 +164,9 @@ def first_scans(work: Workload, count: int) -> Workload:
     return replace(work, scans=work.scans[:count])
 
 
-def mapped(work: Workload) -> OccupancyGrid:
+def mapped(work: Workload, cell_model: CellModel | None = None) -> OccupancyGrid:
     """A fresh map, with the workload's own settings, of its scans."""
-    grid = OccupancyGrid(settings_of(work))
+    grid = OccupancyGrid(settings_of(work, cell_model=cell_model))
     for scan, pose, _ in work.scans:
         grid.integrate(scan, pose)
     return grid

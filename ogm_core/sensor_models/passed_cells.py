@@ -90,7 +90,8 @@ def touch_passed(
 ) -> int:
     """Write `revision` into the tiles of `count` cells, as `find_passed` has found them; return fresh ones.
 
-    `corner` is the number of the first tile in `touched`, which is flat. Between two tile edges of its major axis a line meets at most two tiles: those of the piece's ends.
+    `corner` is the number of the first tile in `touched`, which is flat. Between two tile edges of its major
+    axis a line meets at most two tiles: those of the piece's ends.
     """
     fresh, first, end = 0, 0, min(in_tile, count)
     while first < count:
