@@ -118,11 +118,6 @@ class GridSettings:
                 "mapper.separate_robots: with map.half_life cells forget whose beams they have counted: "
                 "leave out one of the two"
             )
-        if self.share is not None:
-            raise BadSetting(
-                "mapper.separate_robots: a robot cannot be left out of one share of a map (shares.index): "
-                "leave out one of the two"
-            )
 
     def check_known(self, width: int, height: int) -> None:
         """Refuse a scan with which the known rectangle would have `width` x `height` cells.

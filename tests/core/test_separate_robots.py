@@ -12,6 +12,7 @@ from ogm_core.files.map_files import PALETTES, VALUES, encode_json, encode_npz, 
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import Region
 from ogm_core.separate_grid import SeparateGrid, grid_of
+from ogm_core.shares import Cuts, Share
 from ogm_core.tiles.changes import ChangedTiles
 from ogm_core.tiles.checkpoint import NOBODY
 from ogm_core.tiles.halved import tiled
@@ -326,7 +327,8 @@ def test_a_map_to_begin_with_counts_twice_in_the_limit():
             {"cell_model": LogOdds()},
             r"^mapper\.separate_robots: .* LogOdds do not add up.*map\.cell_model rate",
         ),
-        ({"half_life": 60.0}, "half_life"),
+        ({"half_life": 60.0}, r"^mapper\.separate_robots: with map\.half_life .* leave out one of the two$"),
+        ({"share": Share(Cuts((0.0,)), 0)}, r"^mapper\.separate_robots: a map that is cut does not keep"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes, said):

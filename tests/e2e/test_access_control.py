@@ -417,6 +417,8 @@ def test_only_the_operator_resets(site, mapper):
                     write("a")
             with pytest.raises(NobodyAnswered, match="does access control not let"):
                 client.erase((-1, -1, 1, 1))
+            with pytest.raises(NobodyAnswered, match="does access control not let"):
+                client.forget("robot1")
             with pytest.raises(MapperError, match="stores no map"):
                 client.snapshots()
     with MapClient(zenoh_config=site.client("operator"), timeout=30.0) as client:
@@ -424,6 +426,8 @@ def test_only_the_operator_resets(site, mapper):
             with pytest.raises(MapperError, match="stores no map"):
                 write("a")
         assert (mapper.status()["epoch"], mapper.get("map.npz")) == before
+        with pytest.raises(MapperError, match="does not keep robots apart"):
+            client.forget("robot1")
         assert client.erase((-50, -50, 50, 50)) > 1000
     assert (mapper.status()["epoch"], mapper.status()["map_info"]["width"]) == (before[0], 0)
     reset("operator")

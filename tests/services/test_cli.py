@@ -272,6 +272,13 @@ def one_line(result, code):
             "erase --region=0,0,1,1 --token-file /nowhere",
             "--token-file /nowhere: the token is for HTTP alone",
         ),
+        ("forget", "ROBOT"),
+        ("forget a/b --url http://127.0.0.1:9", "robot 'a/b': a name is 1 to 64"),
+        ("mapper --separate-robots", "mapper.separate_robots: the cells of cell model LogOdds do not add up"),
+        (
+            "mapper --separate-robots --cell-model rate --half-life 60",
+            "mapper.separate_robots: with map.half_life cells forget whose beams they have counted",
+        ),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):

@@ -131,6 +131,28 @@ def test_a_file_holds_plain_yaml_values(load):
 
 
 @pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"env": {"OGM_MAPPER__SEPARATE_ROBOTS": "on"}}, True),
+        ({"env": {"OGM_MAPPER__SEPARATE_ROBOTS": "0"}}, False),
+        ({"flags": {"mapper": {"separate_robots": True}}}, True),
+        ({"file": "map: {cell_model: rate}\nmapper: {separate_robots: true}\n"}, True),
+        ({"file": "map: {cell_model: rate}\nmapper: {separate_robots: false}\n"}, False),
+    ],
+)
+def test_one_setting_is_a_switch(load, given, expected):
+    flags = {"map": {"cell_model": "rate"}, **given.get("flags", {})}
+    settings = load(**{**given, "flags": flags})
+    assert settings.mapper.separate_robots is expected
+    assert settings.grid_settings().separate_robots is expected
+
+
+def test_a_switch_is_on_or_off(load):
+    with pytest.raises(BadSetting, match=r"^mapper\.separate_robots: .*boolean.*'maybe'"):
+        load(env={"OGM_MAPPER__SEPARATE_ROBOTS": "maybe"})
+
+
+@pytest.mark.parametrize(
     ("source", "text"),
     [
         (
