@@ -114,16 +114,17 @@ def test_the_map_is_that_of_one_thread(kind, count, shared):
         assert not shared
 
 
-def test_the_map_is_the_same_when_tiles_are_cut_by_threads_that_all_write_into_new_ones(shared):
+@pytest.mark.parametrize("kind", ["bresenham", "dda", "sector", "rate"])
+def test_every_tile_that_few_beams_meet_is_marked_and_counted_once(kind, shared):
     """In a new map every tile is fresh, and both sides of a cut find it so."""
     for seed in range(20):
-        one, many = grid_of(resolution=0.1), grid_of(resolution=0.1)
-        placed = list(scans(2, seed, beams=400))
+        one, many = grid_of(resolution=0.1, **KINDS[kind]), grid_of(resolution=0.1, **KINDS[kind])
+        placed = list(scans(2, seed, beams=15))
         map_scans(one, placed)
         with UpdateThreads(3, least_cells=1) as many.threads:
             map_scans(many, placed)
         assert contents(many) == contents(one)
-    assert min(shared) == 3
+    assert min(shared) >= 2
 
 
 @pytest.mark.parametrize("settings", [{}, {"traversal": "dda"}, {"sensor_model": "sector"}])
