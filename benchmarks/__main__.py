@@ -25,6 +25,7 @@ PAGES = {name: ROOT / "docs" / f"{name}.md" for name in ("stored", "tiles")}
 BENCHMARKS = (
     "integration",
     "threads",
+    "gather",
     "shares",
     "throughput",
     "latency",

@@ -116,7 +116,7 @@ def test_damage_is_seen(planes):
         (lambda record: b"\x07" + record[1:], "form 7 with 1 numbers is unknown"),
         (lambda record: b"\x01\x00\x00" + record[3:], "form 1 with 0 numbers is unknown"),
         (lambda record: record[:7] + bytes(16) + record[23:], "its checksum is another"),
-        (lambda record: record[:-1] + bytes([record[-1] ^ 1]), "incorrect data check"),
+        (lambda record: record[:-1] + bytes([record[-1] ^ 1]), "Incorrect checksum"),
     ],
 )
 def test_damage_is_named(change, said):
