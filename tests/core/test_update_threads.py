@@ -34,6 +34,7 @@ KINDS = {
     "planes of its own": {"cell_model": Counts()},
     "robots apart": {"cell_model": Rate(), "separate_robots": True},
     "half-life": {"half_life": 20.0},
+    "rate, half-life": {"cell_model": Rate(), "half_life": 5.0},
     "clip": {"clip": Clip(-64, None, 64, None)},
     "bounds": {"bounds": Region(-20.0, -15.0, 30.0, 20.0)},
     "bounds drop": {"bounds": Region(-20.0, -15.0, 30.0, 20.0), "outside": "drop", "cell_model": Rate()},

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadMessage
 from ogm_core.files.map_files import encode_npz, encode_pgm
 from ogm_core.grid import OccupancyGrid
@@ -19,6 +20,8 @@ from ogm_services.mapper.shares.layout import ShareLayout
 from ogm_services.mapper.shares.share_parts import MissingShare
 from shares_desk import FOUR, SETTINGS, FakeShare, scan_at
 
+SECOND = 10**9
+
 
 def cut(x=(), y=()):
     return ShareLayout.of(Cuts(x, y), Lattice(0.05))
@@ -27,8 +30,8 @@ def cut(x=(), y=()):
 class Fleet:
     """Four shares, the mapper that they stand for, and a gateway."""
 
-    def __init__(self, settings=SETTINGS, layout=FOUR):
-        self.settings, self.layout = settings, layout
+    def __init__(self, settings=SETTINGS, layout=FOUR, period=1_000):
+        self.settings, self.layout, self.period = settings, layout, period
         self.one = OccupancyGrid(settings, "one", "run")
         self.shares = [FakeShare(k, settings, layout) for k in range(layout.count)]
         self.gathered = GatheredMap(settings, layout, "g")
@@ -37,7 +40,8 @@ class Fleet:
 
     def integrate(self, count=1, shares=None):
         for _ in range(count):
-            placed = scan_at(self.scans, self.rng)
+            scan, pose = scan_at(self.scans, self.rng)
+            placed = replace(scan, stamp=self.period * (self.scans + 1)), pose
             self.scans += 1
             self.one.integrate(*placed)
             for share in self.shares if shares is None else shares:
@@ -62,6 +66,15 @@ def test_parts_of_shares_are_the_map_of_one_mapper_byte_for_byte(layout):
         for snapshot in (fleet.gathered.told(state), fleet.gathered.followed(state)):
             assert encode_npz(snapshot) == encode_npz(whole)
             assert snapshot.stamp == whole.stamp
+
+
+def test_shares_forget_as_one_mapper_does_for_each_has_the_time_of_every_scan():
+    fleet = Fleet(replace(SETTINGS, cell_model=Rate(), half_life=1.0), period=SECOND // 4)
+    for _ in range(4):
+        fleet.integrate(5)
+        whole, gathered = fleet.one.snapshot().finest(), fleet.gathered.told(fleet.gather()).finest()
+        assert encode_npz(gathered) == encode_npz(whole)
+    assert len(fleet.one.time.ticks) > 2
 
 
 def test_shares_that_call_less_free_are_gathered_by_a_gateway_that_does_so():

@@ -152,6 +152,7 @@ class GatheredMap:
             run=named.run,
             revision=named.revision,
             stamp=named.stamp,
+            half_life=self.settings.half_life,
         )
 
     def _check(self, share: int, updates: Sequence[MapUpdate]) -> None:
