@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from mapper_desk import Desk
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.sensor_models.scan_size import ScanSize
+from ogm_core.separate_grid import SeparateGrid
 from ogm_core.types import Pose, Scan
 from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.live import live_map
@@ -66,6 +68,29 @@ def test_the_map_grows_until_it_and_its_copy_and_all_else_take_max_memory():
     assert grown(live, 10_000)[0] > taken
     live.snapshot()
     assert memory.total() <= memory.limit
+
+
+def test_robots_that_are_kept_apart_count_with_their_sum_and_with_copies_for_the_store():
+    settings = GridSettings(0.5, Rate(), max_cells=10**12, separate_robots=True)
+    memory, tile = MemoryUse(32 * MEBIBYTE), 38 * 64 * 64
+    live = LiveMap(SeparateGrid(settings, "e"), memory)
+    with pytest.raises(LimitReached, match=r"mapper\.max_memory, 33554432 bytes, too little is left"):
+        for k in range(1000):
+            scan, pose = beam(32.0 * (k // 2) + 0.25, 30.0)
+            live.integrate(scan, pose, None, f"r{k % 2}")
+    held = memory.held()["map"]
+    most = 32 * MEBIBYTE * 4 / 9
+    assert most - 8 * tile < held <= most  # three tiles, two robots' and the sum's, lie in each place
+    live.snapshot()
+    alone = memory.held()["copies"]
+    live.copy_ahead()
+    live.checkpoint()
+    assert memory.held()["copies"] > 2.5 * alone
+    assert memory.total() <= memory.limit
+    before = live.now.revision
+    live.forget("r1")
+    assert (live.now.revision, live.robots) == (before + 1, ("r0",))
+    assert memory.held()["map"] < 0.75 * held
 
 
 def test_what_others_hold_stops_only_what_needs_new_tiles(monkeypatch):
