@@ -14,6 +14,7 @@ from ogm_services.settings.flags import (
     PrintConfig,
     settings_from,
 )
+from ogm_services.settings.robot_flags import SensorFlags
 
 
 @with_flag_groups
@@ -25,10 +26,11 @@ def gateway(
     logging: LoggingFlags,
     config: ConfigFile = None,
     print_config: PrintConfig = False,
+    sensor: SensorFlags = None,
 ) -> None:
     """Serve the map of all mappers that share it, as one mapper would, over Zenoh and HTTP."""
     groups = map_flags, shares, network, http, logging
-    settings = settings_from(config, *groups, print_config=print_config)
+    settings = settings_from(config, *groups, sensors=sensor, print_config=print_config)
     with logged_service(*settings.log.as_given), kernel_cache():
         with loading():
             from ogm_services.mapper.gateway.gateway_service import run_gateway

@@ -10,6 +10,7 @@ import zenoh
 from prometheus_client.metrics_core import Metric
 
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.gateway.gateway_writes import GatewayWrites
 from ogm_services.mapper.gateway.gathered_answers import GatheredAnswers
@@ -66,7 +67,8 @@ class GatewayParts:
         self.newest_scans = NewestScans(lambda: self.gathered.state.life[0])
         """A thread notes them, any thread reads."""
         self.robots = ShownRobots(
-            *(self.receipts, self.newest_scans, settings.placing_rules(), self.limits.beams),
+            *(self.receipts, self.newest_scans, settings.placing_rules()),
+            *(SensorRules(settings.sensor_rules()), self.limits.beams),
             watched=lambda: time.monotonic() - self.followed.asked < WATCHED,
         )
         """A thread."""

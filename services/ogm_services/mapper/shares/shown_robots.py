@@ -15,6 +15,7 @@ from ogm_core.errors import BadMessage
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.rules import PlacingRules
 from ogm_core.placing.scan_placer import ScanPlacer
+from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.placing.waiting import WaitingLimits
 from ogm_core.types import Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
@@ -54,11 +55,13 @@ class ShownRobots:
         receipts: Receipts,
         scans: NewestScans,
         rules: PlacingRules,
+        sensors: SensorRules,
         max_beams: int,
         watched: Callable[[], bool],
     ) -> None:
         """It notes places in `receipts` and `scans`; `watched`: whether anybody looks at scans."""
         self._receipts = receipts
+        self._sensors = sensors
         self._max_beams = max_beams
         self._watched = watched
         self._placer = ScanPlacer(
@@ -129,6 +132,7 @@ class ShownRobots:
                 if self._receipts.pose_received(robot, now):
                     self._placer.add_pose(robot, decode_pose(payload), now)
             elif self._receipts.scan_received(robot, sensor, now):
-                self._placer.add_scan(robot, sensor, decode_scan(payload, max_beams=self._max_beams), now)
+                scan = decode_scan(payload, max_beams=self._max_beams)
+                self._placer.add_scan(robot, sensor, self._sensors.read(f"{robot}/{sensor}", scan), now)
         except BadMessage:
             pass  # its mappers say so
