@@ -409,3 +409,34 @@ def test_live_clients_of_a_gateway_see_tiles_robots_and_scans(fleet, eventually)
         eventually(lambda: look() and seen != before)
         for (z, x, y), png in seen.items():
             assert http.get(f"/tiles/{z}/{x}/{y}.png").content == png
+
+
+def test_of_two_processes_of_a_share_the_one_that_was_heard_of_last_counts(fleet, eventually):
+    fleet.integrate(3)
+    _, http = fleet.gateway()
+    old = http.get("/map.json").json()
+    newer = FakeShare(2, epoch="e2", run="newer")
+    served = ServedShare(fleet.join(), newer)
+    placed = scan_at(50, fleet.rng)
+    newer.integrate(*placed)
+
+    def taken():
+        return http.get("/status").json()["shares"][2]["run"]
+
+    eventually(lambda: taken() == "newer")
+    assert [taken() for _ in range(3)] == ["newer"] * 3
+    served.close()
+    eventually(lambda: http.get("/map.json").json()["run"] == old["run"])  # the old one is all there is
+
+
+def test_the_figures_of_a_gateway_are_those_of_the_whole_map(fleet):
+    fleet.integrate(6)
+    _, http = fleet.gateway()
+    for served in fleet.shares:
+        served.scans |= {"received": 6, "integrated": 2}
+    quality, whole = http.get("/quality").json(), fleet.one.snapshot()
+    assert quality["known_m2"] == pytest.approx(whole.known_cells * 0.05**2)
+    assert (quality["scans"], quality["cell_updates"]) == (8, None)
+    assert "missing_shares" not in quality
+    fleet.shares[1].close()
+    assert [each["share"] for each in http.get("/quality").json()["missing_shares"]] == [1]

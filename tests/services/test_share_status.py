@@ -7,7 +7,7 @@ from rich.console import Console
 
 from ogm_core.errors import BadSetting
 from ogm_core.shares import Cuts, Share
-from ogm_core.status import ScansOfOthers
+from ogm_core.status import ScansOfOthers, ShareState
 from ogm_services.commands.demo import run_demo
 from ogm_services.commands.status import status_tables
 from ogm_services.settings.settings import Settings
@@ -28,6 +28,19 @@ def test_the_table_says_which_share_it_is_and_what_others_count():
     assert "2 of 3: x 6.4 to open, y open to open m" in text
     assert "3 border, 5 elsewhere" in text
     assert "of others" not in shown(STATUS)
+
+
+def test_the_table_of_a_gateway_has_a_row_for_every_share():
+    shares = [
+        ShareState(0, [None, None, 0.0, None], "up", epoch="e", run="r", revision=12, overload=3),
+        ShareState(
+            1, [0.0, None, None, None], "missing", since=1_700_000_000_000_000_000, detail="other cuts"
+        ),
+    ]
+    rows = [line.split() for line in shown(replace(STATUS, shares=shares)).splitlines()]
+    assert ["0", "up", "12", "3"] in rows
+    (missing,) = [row for row in rows if row[:2] == ["1", "missing"]]
+    assert missing[-2:] == ["other", "cuts"]
 
 
 @pytest.mark.parametrize("shares", [{"cuts_x": [0.0]}, {"index": 0}])

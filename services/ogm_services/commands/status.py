@@ -62,7 +62,11 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
     shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
     return [
         whole,
-        *(table for table in (_robots(shown), _sources(shown, rates), _wrong(shown)) if table.rows),
+        *(
+            table
+            for table in (_shares(status), _robots(shown), _sources(shown, rates), _wrong(shown))
+            if table.rows
+        ),
     ]
 
 
@@ -70,6 +74,16 @@ def _share(share: ShareInfo) -> str:
     """Which share of the map it is, and from where to where it reaches."""
     edges = ["open" if edge is None else f"{edge:g}" for edge in share.bounds]
     return f"{share.index} of {share.shares}: x {edges[0]} to {edges[2]}, y {edges[1]} to {edges[3]} m"
+
+
+def _shares(status: Status) -> Table:
+    """A row for every share of a gateway's map: whether it answers, how far it is, and what is wrong."""
+    table = plain_table("share", "state", "since", "what is wrong", right=("revision", "overload"))
+    for share in status.shares or ():
+        numbers = ("" if number is None else str(number) for number in (share.revision, share.overload))
+        since = "" if share.since is None else local_time(share.since)
+        table.add_row(str(share.share), share.state, since, share.detail or "", *numbers)
+    return table
 
 
 def _robots(robots: Mapping[str, RobotStatus]) -> Table:
@@ -88,7 +102,7 @@ def _sources(robots: Mapping[str, RobotStatus], rates: Rates | None) -> Table:
     table = plain_table("source", right=(*received, "integrated", "pending", "dropped", "last seq"))
     for name, robot in robots.items():
         for sensor, source in sorted(robot.sources.items()):
-            dropped = source.received - source.integrated - source.pending
+            dropped = sum(source.dropped.values())
             numbers = source.integrated, source.pending, dropped
             last_seq = "" if source.last_seq is None else str(source.last_seq)
             row = [f"{name}/{sensor}", str(source.received)]

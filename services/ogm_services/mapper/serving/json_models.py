@@ -244,7 +244,8 @@ class Quality(_Reply):
     occupied_m2: float
     consistency: Consistency
     scans: int
-    cell_updates: int
+    cell_updates: int | None
+    """None of a gateway."""
     judged: JudgedShares
     truth: TruthFigures | None
     series: QualitySeries

@@ -95,18 +95,35 @@ class Gathering:
             )
             for share, part in enumerate(self._gathered.state.parts)
         }
-        newest: dict[int, str] = {}
+        taken: dict[int, str] = {}
+        older: list[tuple[int, list[MapUpdate]]] = []
         for answer in ask_shares(self._session, self._keys, "part", asked):
             try:
                 updates = self._read(answer)
-                if self._is_newer(answer.share, updates[0].run, newest.get(answer.share)):
-                    self._gathered.take(answer.share, updates)
-                    newest[answer.share] = updates[0].run
-                    self._refused.pop(answer.share, None)
             except OgmError as error:
                 self._refuse(answer.share, error)
-        self._note(newest)
+                continue
+            # Of a process that has been replaced nothing is taken, unless the other keeps silent.
+            held = self._gathered.state.parts[answer.share]
+            if held is not None and self._is_older(answer.share, updates[0].run, held.run):
+                older.append((answer.share, updates))
+            else:
+                self._take(answer.share, updates, taken)
+        for share, updates in older:
+            if share not in taken:
+                self._take(share, updates, taken)
+        self._note(taken)
         return Result(self._gathered.state, self._missing())
+
+    def _take(self, share: int, updates: list[MapUpdate], taken: dict[int, str]) -> None:
+        """Take a part, and note in `taken` whose it is."""
+        try:
+            self._gathered.take(share, updates)
+        except OgmError as error:
+            self._refuse(share, error)
+        else:
+            taken[share] = updates[0].run
+            self._refused.pop(share, None)
 
     def _read(self, answer: ShareAnswer) -> list[MapUpdate]:
         """The messages of a part.
@@ -122,12 +139,12 @@ class Gathering:
             raise BadMessage(f"{len(updates)} messages are not all of a part")
         return updates
 
-    def _is_newer(self, share: int, run: str, taken: str | None) -> bool:
-        """Whether an answer comes from a newer process of a share than the one that was taken already."""
-        runs = self._runs.setdefault(share, [])
+    def _is_older(self, share: int, run: str, held: str) -> bool:
+        """Whether a process of a share was heard of before the one whose part is held."""
+        runs = self._runs.setdefault(share, [held])
         if run not in runs:
             runs.append(run)
-        return taken is None or runs.index(run) > runs.index(taken)
+        return held in runs and runs.index(run) < runs.index(held)
 
     def _refuse(self, share: int, error: OgmError) -> None:
         self._refused[share] = str(error)
