@@ -136,13 +136,12 @@ class OccupancyGrid:
             OutsideBounds: every beam that counts leaves a map that drops such beams; no cell has changed.
         """
         time, aging = self._time_after(scan.stamp)
+        placed = PlacedScan(scan, pose, sweep)
         try:
-            updates = 0 if self._is_elsewhere(PlacedScan(scan, pose, sweep)) else None
-            if updates is None and sweep is None:
-                updates = self._add_at_once(scan, pose)
+            updates = 0 if self._is_elsewhere(placed) else self._add_at_once(placed)
             if updates is None:
                 # What the scan says: about which cells, and which of them are this map's.
-                evidence = observe(PlacedScan(scan, pose, sweep), self.settings)
+                evidence = observe(placed, self.settings)
                 updated = self._extent.counted(evidence.extent())
                 updates = self._add(evidence, updated, aging) if updated.cells else 0
         except MemoryError as error:
@@ -168,13 +167,13 @@ class OccupancyGrid:
             and extent.counted(reached) == reached
         )
 
-    def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
+    def _add_at_once(self, placed: PlacedScan) -> int | None:
         """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""
-        beams, threads = scan.ranges.size, self.threads
+        beams, threads = placed.scan.ranges.size, self.threads
         if self._one_call is None or (threads is not None and threads.wanted(beams)):
             return None
         place = self._extent, self._store, self.max_bytes, self.revision + 1
-        updates = self._one_call.integrate(scan, pose, *place)
+        updates = self._one_call.integrate(placed, *place)
         if threads is not None and updates is not None and updates >= threads.worth_sharing:
             threads.alone(beams, updates)
         return updates

@@ -29,7 +29,7 @@ from ogm_core.tiles.erasing import erase, written_rect
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
 from ogm_core.tiles.summing import mark, revisions_at, sum_tiles, written_tiles
-from ogm_core.types import Pose, Scan, Sweep
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 _MOST_NAMED = 20
 
@@ -130,7 +130,7 @@ class SeparateGrid(OccupancyGrid):
             self._robots[robot] = self._writing
         return updates
 
-    def _add_at_once(self, scan: Scan, pose: Pose) -> int | None:
+    def _add_at_once(self, placed: PlacedScan) -> int | None:
         """Nothing: there are two stores."""
         return None
 

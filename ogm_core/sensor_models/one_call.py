@@ -21,7 +21,7 @@ from ogm_core.sensor_models.evidence import may_be_too_large
 from ogm_core.sensor_models.projection import beam_model, directions, read_only
 from ogm_core.tiles.extent import Extent
 from ogm_core.tiles.store import TILE_BITS, TileStore
-from ogm_core.types import Pose, Scan
+from ogm_core.types import PlacedScan, Scan
 
 _SENSORS = 64
 """So many kinds of scan are remembered."""
@@ -69,12 +69,18 @@ class OneCall:
         return cls(settings, *model.by_cell)
 
     def integrate(
-        self, scan: Scan, pose: Pose, extent: Extent, store: TileStore, max_bytes: int, revision: int
+        self,
+        placed: PlacedScan,
+        extent: Extent,
+        store: TileStore,
+        max_bytes: int,
+        revision: int,
     ) -> int | None:
         """Do what `observe` and the model's `update` do; return the number of cell updates.
 
         None if this is no common scan: then nothing has changed. `extent` is that of the map.
         """
+        scan, pose, sweep = placed
         limits = scan.range_min, scan.range_max, scan.clear_range, scan.reach
         kind = scan.angle_min, scan.angle_increment, *limits, scan.ranges.size
         if kind not in self._sensors:
@@ -95,6 +101,7 @@ class OneCall:
             float(x),
             float(y),
             float(theta),
+            None if sweep is None else sweep.beams,
             np.empty((4, scan.ranges.size)) if self._exact else None,
             self._drops,
             place.rects,
@@ -137,6 +144,7 @@ def _integrate(
     x: float,
     y: float,
     theta: float,
+    poses: NDArray[np.float64] | None,
     lines: NDArray[np.float64] | None,
     drops: bool,
     rects: NDArray[np.int64],
@@ -150,16 +158,20 @@ def _integrate(
     """Add a common scan to the cells; returns the number of updates, and of tiles that held 0 before.
 
     -1 and 0 if it is none: nothing is written then. `beam` are the numbers of a BeamModel and of
-    LatticeParams, `turned` the `directions` of `beams.project_turned`; x, y and theta the sensor's; `lines`
-    room for those of projection.Beams, None along Bresenham's; `rects` those of `_Place`. Beams that leave
-    the bounds count for nothing if it `drops` them. There is `room` for so many more tiles. The rest is that
-    of `bresenham.update_cells`.
+    LatticeParams, `turned` the `directions` of `beams.project_turned`; x, y and theta the sensor's, or
+    `poses` at every beam, None if it stood still; `lines` room for those of projection.Beams, None along
+    Bresenham's; `rects` those of `_Place`. Beams that leave the bounds count for nothing if it `drops` them.
+    There is `room` for so many more tiles. The rest is that of `bresenham.update_cells`.
     """
     ends = np.empty((5, ranges.size), np.int64)
     drawn = np.empty((4, 0)) if lines is None else lines
     model = beam[0], beam[1], beam[2], beam[3], beam[4], beam[5], beam[6]
     lattice = beam[7], beam[8], beam[9]
-    if not beams.project_turned(ranges, model, (x, y, theta), lattice, ends, drawn, turned):
+    if poses is None:
+        projected = beams.project_turned(ranges, model, (x, y, theta), lattice, ends, drawn, turned)
+    else:
+        projected = beams.project(ranges, model, poses, lattice, ends, drawn)
+    if not projected:
         return -1, 0
     bounds, stretched, clip, known, window = rects[0], rects[1], rects[2], rects[3], rects[4]
     if drops:

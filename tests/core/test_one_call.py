@@ -40,6 +40,13 @@ def scans(count, seed=1):
         yield scan, Pose(*rng.uniform(-2.0, 2.0, 2).tolist(), rng.uniform(-4.0, 4.0))
 
 
+def moving(pose, beams):
+    """The sweep of a sensor that drives 0.3 m, and turns, from this pose on."""
+    way = np.linspace(0.0, 1.0, beams)[:, None] * (0.3, -0.1, 0.5)
+    poses = np.array(pose) + way
+    return Sweep(Pose(*poses[beams // 2].tolist()), poses)
+
+
 def grids(**settings):
     """A map, and its twin, into which every scan goes the long way."""
     settings = GridSettings(**{"resolution": 0.05, "alpha": 0.1, **settings})
@@ -61,8 +68,8 @@ def taken(monkeypatch):
     """What one call made of each scan that was offered to it: the number of updates, or None."""
     found = []
 
-    def spied(grid, scan, pose):
-        found.append(add(grid, scan, pose))
+    def spied(grid, placed):
+        found.append(add(grid, placed))
         return found[-1]
 
     add = OccupancyGrid._add_at_once
@@ -72,9 +79,11 @@ def taken(monkeypatch):
 
 @pytest.mark.parametrize("name", MAPS)
 def test_it_makes_the_map_of_the_long_way(name, taken):
+    """Of sensors that stood still, and that moved."""
     grid, twin = grids(**MAPS[name])
-    for scan, pose in scans(60):
-        assert grid.integrate(scan, pose) == twin.integrate(scan, pose)
+    for number, (scan, pose) in enumerate(scans(60)):
+        sweep = moving(pose, scan.ranges.size) if number % 3 == 0 else None
+        assert grid.integrate(scan, pose, sweep) == twin.integrate(scan, pose, sweep)
     assert state(grid) == state(twin)
     assert sum(1 for updates in taken[::2] if updates) >= 30
     assert set(taken[1::2]) == {None}
@@ -147,14 +156,15 @@ def test_other_maps_have_no_such_way(changes):
     assert grid._one_call is None
 
 
-def test_a_sweep_goes_the_long_way(taken):
+def test_a_sweep_that_leaves_what_can_be_addressed_is_refused_as_ever():
     grid, twin = grids()
     scan = Scan(0, 0.0, 0.05, 0.0, 8.0, np.full(60, 3.0, np.float32))
-    sweep = Sweep(Pose(0.0, 0.0, 0.0), np.zeros((60, 3)))
+    away = moving(Pose(0.0, 0.0, 0.0), 60)
+    away.beams[30, 0] = 1e18
     for one in (grid, twin):
-        for _ in range(2):
-            one.integrate(scan, Pose(0.0, 0.0, 0.0), sweep)
-    assert taken == []
+        one.integrate(scan, Pose(0.0, 0.0, 0.0))
+        with pytest.raises(LimitReached, match="farther away"):
+            one.integrate(scan, Pose(0.0, 0.0, 0.0), away)
     assert state(grid) == state(twin)
 
 

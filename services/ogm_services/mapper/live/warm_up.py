@@ -58,7 +58,8 @@ def warm_up_rest(settings: GridSettings) -> None:
     """The same for what can wait: storing, quality, other formats, tiles, sweeps, a map that is full."""
     small, scan, pose = _small(settings)
     scratch = LiveMap(grid_of(small))
-    scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
+    for _ in range(2):
+        scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
     for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
         encode_tile(tile.planes)
     scratch.quality()
