@@ -2,19 +2,12 @@
 
 import threading
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import fields
 from typing import Literal, NamedTuple, get_args
 
-from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS, MAX_SENSORS
-from ogm_core.status import (
-    MessageCounts,
-    OtherCounts,
-    PoseCounts,
-    RobotStatus,
-    ScanCounts,
-    ScansOfOthers,
-    SourceStatus,
-)
+from ogm_core.placing.counts import RobotCounts, SensorCounts
+from ogm_core.placing.rules import MAX_ROBOTS, MAX_SENSORS
+from ogm_core.status import MessageCounts, OtherCounts, PoseCounts, RobotStatus, ScanCounts
 from ogm_core.types import Pose
 
 DropReason = Literal[
@@ -40,76 +33,6 @@ OfOthers = Literal["border", "border_dropped", "elsewhere"]
 missing in it, for want of memory or by a bug."""
 _MAX_RUNS_ALIVE = 64
 """Runs of a robot whose liveliness tokens are told apart; more are not heard of."""
-
-
-@dataclass(slots=True)
-class _Sensor:
-    run: str = ""
-    last_seq: int | None = None
-    received: int = 0
-    integrated: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    of_others: Counter[str] = field(default_factory=Counter)
-    hints: list[str] = field(default_factory=list)
-    lost: int = 0
-    beams_on_robots: int = 0
-    told: SourceStatus | None = None
-    """What its status was, until it changes: of thousands few change between two who ask."""
-
-    @property
-    def pending(self) -> int:
-        return self.received - self.integrated - self.dropped.total() - self.of_others.total()
-
-    def told_of_others(self, in_shares: bool) -> ScansOfOthers | None:
-        return ScansOfOthers(**self.of_others) if in_shares else None
-
-    def status(self, in_shares: bool) -> SourceStatus:
-        if self.told is None:
-            counts = self.received, self.pending, self.integrated
-            dropped, hints = dict(self.dropped), list(self.hints)
-            self.told = SourceStatus(
-                *(self.run, self.last_seq, *counts, dropped, hints, self.lost),
-                self.beams_on_robots,
-                self.told_of_others(in_shares),
-            )
-        return self.told
-
-
-@dataclass(slots=True)
-class _Robot:
-    pose: Pose | None = None
-    stamp: int | None = None
-    runs_alive: set[str] = field(default_factory=set)
-    heard: float | None = None
-    seen: float | None = None
-    """When it was heard, or its token came or went, s; None where no times are told."""
-    restored: bool = False
-    """Whether it is known from an earlier life of the mapper."""
-    sensors: dict[str, _Sensor] = field(default_factory=dict)
-
-    def seen_at(self, now: float | None) -> None:
-        if now is not None and (self.seen is None or now > self.seen):
-            self.seen = now
-
-    def heard_at(self, now: float) -> None:
-        if self.heard is None or now > self.heard:
-            self.heard = now
-        if self.seen is None or now > self.seen:
-            self.seen = now
-
-    def gone(self, now: float) -> bool:
-        if self.runs_alive or self.seen is None:
-            return False
-        # Of one that was never heard nothing is worth its place: tokens cost a stranger nothing.
-        return (self.heard is None and not self.restored) or now - self.seen > FORGOTTEN_AFTER
-
-    def status(self, now: float | None, in_shares: bool) -> RobotStatus:
-        sources = {name: sensor.status(in_shares) for name, sensor in self.sensors.items()}
-        return replace(self.place(now), sources=sources)
-
-    def place(self, now: float | None) -> RobotStatus:
-        age = None if now is None or self.heard is None else max(0.0, now - self.heard)
-        return RobotStatus(self.pose, self.stamp, bool(self.runs_alive), age)
 
 
 class Presence(NamedTuple):
@@ -138,8 +61,8 @@ class Receipts:
     def __init__(self, *, in_shares: bool = False) -> None:
         self._in_shares = in_shares
         self._lock = threading.Lock()
-        self._robots: dict[str, _Robot] = {}
-        self._scans = _Sensor()
+        self._robots: dict[str, RobotCounts] = {}
+        self._scans = SensorCounts()
         """Of all robots, those that have no counts of their own, too."""
         self._poses: Counter[str] = Counter()
         self._ignored = 0
@@ -166,7 +89,7 @@ class Receipts:
                 self._scans.dropped["refused"] += 1
                 return False
             if sensor not in entry.sensors:
-                entry.sensors[sensor] = _Sensor()
+                entry.sensors[sensor] = SensorCounts()
             self._changing(robot, sensor).received += 1
             return True
 
@@ -320,24 +243,24 @@ class Receipts:
                 name: Presence(bool(robot.runs_alive), robot.heard) for name, robot in self._robots.items()
             }
 
-    def _heard(self, robot: str, now: float | None) -> _Robot | None:
+    def _heard(self, robot: str, now: float | None) -> RobotCounts | None:
         """Note that a message of a robot has arrived; None if it is one robot too many."""
         entry = self._robots.get(robot) or self._admitted(robot, now)
         if entry is not None and now is not None:
             entry.heard_at(now)
         return entry
 
-    def _admitted(self, robot: str, now: float | None) -> _Robot | None:
+    def _admitted(self, robot: str, now: float | None) -> RobotCounts | None:
         entry = self._robots.get(robot)
         if entry is None and len(self._robots) < MAX_ROBOTS:
-            entry = self._robots[robot] = _Robot(seen=now)
+            entry = self._robots[robot] = RobotCounts(seen=now)
         return entry
 
-    def _changing(self, robot: str, sensor: str) -> _Sensor:
+    def _changing(self, robot: str, sensor: str) -> SensorCounts:
         """The counts of a sensor, to change them; some that nobody looks at if it has none."""
         entry = self._robots.get(robot)
         found = None if entry is None else entry.sensors.get(sensor)
         if found is None:
-            return _Sensor()
+            return SensorCounts()
         found.told = None
         return found
