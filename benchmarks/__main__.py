@@ -37,6 +37,7 @@ BENCHMARKS = (
     "http_load",
     "hostile_http",
     "build_speed",
+    "batch",
     "memory",
     "map_quality",
     "stored",

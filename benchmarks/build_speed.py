@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -39,10 +39,10 @@ def run(quick: bool) -> list[Result]:
     with tempfile.TemporaryDirectory() as folder:
         short, out = Path(folder, "short.jsonl"), Path(folder, "map")
         write_jsonl(short, first_scan(log))
-        build(short, out)  # compiles, and warms the caches
+        build([short], out)  # compiles, and warms the caches
         for _ in range(QUICK_ROUNDS if quick else ROUNDS):
-            times.of("the whole command", lambda: build(log, out))
-            times.of("start: the same of one scan", lambda: build(short, out))
+            times.of("the whole command", lambda: build([log], out))
+            times.of("start: the same of one scan", lambda: build([short], out))
             parts(log, work, out, times)
     span = (work.scans[-1].scan.stamp - work.scans[0].scan.stamp) / 1e9
     group = f"ogm build of {NAME}: {len(work.scans)} scans of {span:,.0f} s"
@@ -73,9 +73,19 @@ def parts(log: Path, work: Workload, out: Path, times: Times) -> None:
     times.of("writing", lambda: write_map(out, snapshot, quality))
 
 
-def build(log: Path, out: Path) -> None:
+def build(logs: Sequence[Path], out: Path, *flags: str) -> None:
     """Run the command."""
-    command = [sys.executable, "-m", "ogm_services", "build", str(log), "--out", str(out), *FLAGS]
+    command = [
+        sys.executable,
+        "-m",
+        "ogm_services",
+        "build",
+        *map(str, logs),
+        "--out",
+        str(out),
+        *FLAGS,
+        *flags,
+    ]
     done = subprocess.run(
         command, cwd=ROOT, env=environment(), timeout=STARTED, capture_output=True, check=False
     )

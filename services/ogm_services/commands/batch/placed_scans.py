@@ -7,7 +7,8 @@ import io
 import pickle
 import secrets
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -15,7 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
-from ogm_core.types import PlacedScan
+from ogm_core.types import PlacedScan, Scan
+
+_FIELDS = tuple(field.name for field in fields(Scan))
+_RANGES = _FIELDS.index("ranges")
+_values_of = attrgetter(*_FIELDS)
 
 
 class ScanIndex(NamedTuple):
@@ -53,7 +58,7 @@ class PlacedLog:
         """Write a scan that updates the cells of `extent`; see `ScanIndex`."""
         if robot not in self.robots:
             self.robots.append(robot)
-        self._file.write(pickle.dumps(placed, pickle.HIGHEST_PROTOCOL))
+        self._file.write(_packed(placed))
         whose = self.robots.index(robot)
         self._rows.append((self._file.tell(), extent, cost, placed.scan.stamp, whose, base))
 
@@ -101,17 +106,19 @@ class ScanFiles:
         """What is known of a log's scans."""
         return ScanIndex(**self.arrays(f"index-{log}"))
 
-    def scans(self, log: int, index: ScanIndex, wanted: NDArray[np.bool_]) -> Iterator[PlacedScan | None]:
-        """The scans of a log in order, None in place of each that is not wanted."""
-        begin = 0
+    def scans(
+        self, log: int, index: ScanIndex, wanted: NDArray[np.bool_]
+    ) -> Iterator[tuple[int, PlacedScan]]:
+        """The scans of a log that are wanted, in order, each with its number."""
+        numbers = np.flatnonzero(wanted)
+        begins = np.concatenate(([0], index.ends))[numbers].tolist()
         with (self.folder / f"scans-{log}").open("rb") as file:
-            for is_wanted, end in zip(wanted.tolist(), index.ends.tolist(), strict=True):
-                if is_wanted:
+            for number, begin, end in zip(
+                numbers.tolist(), begins, index.ends[numbers].tolist(), strict=True
+            ):
+                if file.tell() != begin:
                     file.seek(begin)
-                    yield _unpickled(file.read(end - begin))
-                else:
-                    yield None
-                begin = end
+                yield number, _unpacked(file.read(end - begin))
 
     def held(self, log: int) -> list[PlacedScan]:
         """The scans of a log that are held out."""
@@ -127,6 +134,20 @@ class ScanFiles:
         """The arrays of this name."""
         with np.load(self.folder / name, allow_pickle=False) as arrays:
             return dict(arrays)
+
+
+def _packed(placed: PlacedScan) -> bytes:
+    """A placed scan as bytes: in less than half the time that it takes to pickle it as it is."""
+    values = list(_values_of(placed.scan))
+    values[_RANGES] = placed.scan.ranges.tobytes()
+    return pickle.dumps((values, *placed[1:]), pickle.HIGHEST_PROTOCOL)
+
+
+def _unpacked(content: bytes) -> PlacedScan:
+    """The scan that `_packed` has made bytes of."""
+    values, pose, sweep = _unpickled(content)
+    values[_RANGES] = np.frombuffer(values[_RANGES], np.float32)
+    return PlacedScan(Scan(*values), pose, sweep)
 
 
 def _unpickled(content: bytes) -> Any:  # noqa: ANN401 - whatever was pickled

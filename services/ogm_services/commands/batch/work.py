@@ -4,6 +4,7 @@ Whatever a task needs is in its arguments or in the files of the build, and both
 it may run in another process, on another machine that has the same disk, and twice.
 """
 
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -62,9 +63,8 @@ class _Place(LogSink):
             self._placed.held.append(placed)
             return 0
         extent = self._extent.counted(observe(placed, self._settings).extent())
-        longest = min(scan.range_max, self._settings.distances[2])
-        lengths = np.minimum(np.nan_to_num(scan.ranges, nan=0.0, posinf=longest, neginf=0.0), longest)
-        cost = _PLACING + float(lengths.sum()) / self._settings.resolution
+        # As many cells a beam as its rectangle is wide, about.
+        cost = _PLACING + 0.3 * scan.ranges.size * (extent.width + extent.height)
         self._placed.add(placed, extent, cost, self.robot, base_of(scan, pose))
         return 0
 
@@ -111,12 +111,11 @@ def map_area(folder: Path, area: int, clip: Clip, settings: Settings, logs: int)
         index = files.index_of(log)
         taken = accepted[str(log)]
         here = taken & meets(index.extents, clip.rect)
-        scans = files.scans(log, index, here)
-        for is_taken, stamp, placed in zip(taken.tolist(), index.stamps.tolist(), scans, strict=True):
-            if placed is not None:
-                _integrate(grid, placed)
-            elif is_taken:
-                grid.pass_over(stamp)
+        others = _Others(grid, taken & ~here, index.stamps)
+        for number, placed in files.scans(log, index, here):
+            others.pass_over(number)
+            _integrate(grid, placed)
+        others.pass_over(len(taken))
     tiles = list(grid.checkpoint().tiles_since(0))
     arrays: dict[str, NDArray[Any]] = {
         "tiles": np.array([(tile.tx, tile.ty, tile.revision) for tile in tiles], np.int64).reshape(-1, 3)
@@ -128,6 +127,21 @@ def map_area(folder: Path, area: int, clip: Clip, settings: Settings, logs: int)
     with written(folder, "--out"):
         files.write_arrays(f"area-{area}", arrays)
     return AreaMapped(grid.time, grid.cell_updates, len(tiles))
+
+
+class _Others:
+    """The scans of a log that are in the map, not in this area: a map that forgets has to know of them."""
+
+    def __init__(self, grid: OccupancyGrid, which: NDArray[np.bool_], stamps: NDArray[np.int64]) -> None:
+        forgets = grid.settings.tick is not None
+        self._grid = grid
+        self._left = deque(np.flatnonzero(which).tolist() if forgets else ())
+        self._stamps = stamps
+
+    def pass_over(self, end: int) -> None:
+        """Count those before scan number `end`."""
+        while self._left and self._left[0] < end:
+            self._grid.pass_over(int(self._stamps[self._left.popleft()]))
 
 
 def _integrate(grid: OccupancyGrid, placed: PlacedScan) -> None:
@@ -160,7 +174,6 @@ def judge_scans(
         before += int(np.count_nonzero(taken))
         wanted = taken & (first <= number) & (number < end)
         if wanted.any():
-            for placed in files.scans(log, files.index_of(log), wanted):
-                if placed is not None:
-                    counts += beliefs.judged(placed, grid_settings)
+            for _, placed in files.scans(log, files.index_of(log), wanted):
+                counts += beliefs.judged(placed, grid_settings)
     return counts
