@@ -115,7 +115,7 @@ def test_the_map_is_that_of_one_thread(kind, count, shared):
         assert not shared
 
 
-@pytest.mark.parametrize("kind", ["bresenham", "dda", "sector", "rate"])
+@pytest.mark.parametrize("kind", ["bresenham", "dda", "sector", "rate", "planes of its own"])
 def test_every_tile_that_few_beams_meet_is_marked_and_counted_once(kind, shared):
     """In a new map every tile is fresh, and both sides of a cut find it so."""
     for seed in range(20):
