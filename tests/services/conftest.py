@@ -15,6 +15,7 @@ import pytest
 import zenoh
 
 from described_http import DescribedClient
+from fleet_desk import Fleet
 from gateway_desk import gateways, sessions
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.wire.keys import MapKeys
@@ -214,3 +215,11 @@ def gateway(listener, network, eventually, monkeypatch):
     monkeypatch.setattr("ogm_services.ros2.gateway.LOOK_EVERY", 0.02)
     with gateways(listener, network, eventually) as gateway:
         yield gateway
+
+
+@pytest.fixture
+def fleet(endpoint):
+    """Four fake shares on a router, which gateways can be put over (see `fleet_desk`)."""
+    fleet = Fleet(endpoint)
+    yield fleet
+    fleet.close()

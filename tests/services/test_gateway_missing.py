@@ -1,0 +1,122 @@
+"""A gateway as a service over fake shares: what it answers while some are missing, or of another map."""
+
+import time
+
+import numpy as np
+
+from fleet_desk import Fleet, npz
+from shares_desk import FakeShare, ServedShare, scan_at
+
+
+def test_while_a_share_is_missing_the_rest_is_told_and_says_so(fleet):
+    fleet.integrate(8)
+    _, http = fleet.gateway()
+    whole = npz(http.get("/map.npz").content)
+    fleet.shares[1].close()
+    answer = http.get("/map.npz")
+    assert answer.status_code == 200
+    share, _, since = answer.headers["OGM-Missing"].partition(";since=")
+    assert share == "1"
+    assert abs(time.time_ns() - int(since)) < 60e9
+    assert answer.headers["Cache-Control"] == "no-store"
+    assert not {"ETag", "OGM-Epoch", "OGM-Run", "OGM-Revision"} & {name.title() for name in answer.headers}
+    assert not {"etag", "ogm-epoch", "ogm-run", "ogm-revision"} & set(answer.headers)
+    part = npz(answer.content)
+    x, y = part["offset"] - whole["offset"]
+    height, width = part["log_odds"].shape
+    expected = whole["log_odds"][y : y + height, x : x + width].copy()
+    ix = np.arange(width) + part["offset"][0]
+    iy = np.arange(height) + part["offset"][1]
+    expected[(iy[:, None] < 0) & (ix[None, :] >= 0)] = np.nan
+    assert np.array_equal(part["log_odds"], expected, equal_nan=True)
+    shown = http.get("/map.json").json()
+    assert shown["missing"] == [{"share": 1, "bounds": [0.0, None, None, 0.0], "since": int(since)}]
+    assert "epoch" not in shown
+
+
+def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet):
+    fleet.integrate(8)
+    _, http = fleet.gateway()
+    fleet.shares[1].close()
+    refused = (
+        *("/map.yaml", "/map.pgm", "/map.png?complete=1", "/distance.png", "/inflate.png?radius=0.2"),
+        *("/raycast?x=-1&y=1&range_max=2", "/cell?x=1&y=-1"),
+    )
+    for asked in refused:
+        answer = http.get(asked)
+        assert (answer.status_code, answer.json()["type"]) == (503, "partial-map"), asked
+        assert "share 1" in answer.json()["detail"]
+        assert int(answer.headers["Retry-After"]) > 0
+    assert http.get("/map.pgm?complete=0").headers["OGM-Missing"].startswith("1;")
+    assert http.get("/cell?x=-1&y=1").json()["known"] in (True, False)
+    assert http.get("/readyz").status_code == 200
+    fleet.shares[1] = ServedShare(fleet.join(), fleet.shares[1].share)
+    for asked in refused:
+        assert http.get(asked).status_code == 200, asked
+    assert "OGM-Missing" not in http.get("/map.png").headers
+
+
+def test_no_share_at_all_is_not_ready(endpoint):
+    fleet = Fleet(endpoint, shares=())
+    try:
+        _, http = fleet.gateway()
+        assert http.get("/readyz").status_code == 503
+        assert "no share" in http.get("/readyz").text
+        answer = http.get("/map.json")
+        assert [each["share"] for each in answer.json()["missing"]] == [0, 1, 2, 3]
+        assert http.get("/status").json()["complete"] is False
+    finally:
+        fleet.close()
+
+
+def test_a_share_that_keeps_silent_holds_nobody_up_for_longer_than_the_timeout(fleet):
+    fleet.integrate(4)
+    _, http = fleet.gateway(timeout=0.3)
+    fleet.shares[2].silent = True
+    answer = http.get("/map.npz")
+    assert answer.headers["OGM-Missing"].startswith("2;")
+    fleet.shares[2].silent = False
+    assert "OGM-Missing" not in http.get("/map.npz").headers
+
+
+def test_a_reset_of_which_a_share_has_not_heard_is_not_done(fleet):
+    fleet.integrate(4)
+    _, http = fleet.gateway()
+    share = fleet.shares[2].share
+    fleet.shares[2].close()
+    answer = http.post("/reset")
+    assert (answer.status_code, answer.json()["type"]) == (503, "partial-map")
+    assert "share 2 " in answer.json()["detail"]
+    fleet.shares[2] = ServedShare(fleet.join(), share)
+    assert http.get("/map.json").json()["width"] > 0  # it keeps its cells
+    assert http.post("/reset").status_code == 200
+    assert http.get("/map.json").json()["width"] == 0
+
+
+def test_a_share_of_other_settings_is_missing_and_the_gateway_says_why(fleet, caplog):
+    fleet.integrate(2)
+    _, http = fleet.gateway(cuts_x=[3.2])
+    assert "OGM-Missing" in http.get("/map.npz").headers
+    why = http.get("/readyz").text
+    assert "cuts_x" in why
+    assert "[3.2]" in why
+    assert any("cuts_x" in record.getMessage() for record in caplog.records)
+    assert "cuts_x" in http.get("/status").json()["shares"][0]["detail"]
+
+
+def test_of_two_processes_of_a_share_the_one_that_was_heard_of_last_counts(fleet, eventually):
+    fleet.integrate(3)
+    _, http = fleet.gateway()
+    old = http.get("/map.json").json()
+    newer = FakeShare(2, epoch="e2", run="newer")
+    served = ServedShare(fleet.join(), newer)
+    placed = scan_at(50, fleet.rng)
+    newer.integrate(*placed)
+
+    def taken():
+        return http.get("/status").json()["shares"][2]["run"]
+
+    eventually(lambda: taken() == "newer")
+    assert [taken() for _ in range(3)] == ["newer"] * 3
+    served.close()
+    eventually(lambda: http.get("/map.json").json()["run"] == old["run"])  # the old one is all there is
