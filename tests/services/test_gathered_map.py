@@ -1,5 +1,6 @@
 """Gathered map: the parts of shares, pasted together, are the map that one mapper would have."""
 
+import contextlib
 import hashlib
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from ogm_core.cells.rate import Rate
-from ogm_core.errors import BadMessage
+from ogm_core.errors import BadMessage, LimitReached
 from ogm_core.files.map_files import encode_npz, encode_pgm
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -249,3 +250,16 @@ def test_cells_of_another_share_and_changes_of_what_is_not_held_are_refused():
         fleet.gathered.take(1, fleet.shares[0].updates())
     with pytest.raises(BadMessage, match="not what is held"):
         fleet.gathered.take(0, fleet.shares[0].updates(2))
+
+
+def test_a_part_for_which_there_is_no_memory_is_refused_by_name():
+    fleet = Fleet()
+    fleet.integrate(6)
+    gathered = GatheredMap(SETTINGS, FOUR, "g", max_bytes=100_000)
+    for share in fleet.shares:
+        with contextlib.suppress(LimitReached):
+            gathered.take(share.index, share.updates())
+    left = gathered.state.parts.index(None)
+    with pytest.raises(LimitReached, match=r"mapper\.max_memory"):
+        gathered.take(left, fleet.shares[left].updates())
+    assert 0 < gathered.state.copies.nbytes <= 100_000

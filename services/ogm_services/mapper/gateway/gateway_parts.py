@@ -53,7 +53,7 @@ class GatewayParts:
         self.keys = MapKeys(settings.network.map_name)
         grid_settings = settings.grid_settings()
         layout = ShareLayout.of(settings.shares.cuts, grid_settings.lattice)
-        self.gathered = GatheredMap(grid_settings, layout, self.run)
+        self.gathered = GatheredMap(grid_settings, layout, self.run, self.memory.limit)
         """Who gathers writes it, any thread reads it."""
         timeout = settings.shares.gather_timeout
         self.gathering = Gathering(session, self.keys, self.gathered, timeout)

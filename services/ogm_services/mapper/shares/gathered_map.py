@@ -1,5 +1,6 @@
 """Gathered map: the parts of a map that is cut into shares, pasted together as they come."""
 
+import math
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.compiled import compiled
 from ogm_core.cells.model import Plane
-from ogm_core.errors import BadInput, BadMessage
+from ogm_core.errors import BadInput, BadMessage, LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.snapshot import MapSnapshot
@@ -80,11 +81,14 @@ class GatheredMap:
     which nobody changes, so that readers wait for nobody.
     """
 
-    def __init__(self, settings: GridSettings, layout: ShareLayout, run: str) -> None:
-        """An empty map of these settings; `run` is the gateway's own."""
+    def __init__(
+        self, settings: GridSettings, layout: ShareLayout, run: str, max_bytes: float = math.inf
+    ) -> None:
+        """An empty map of these settings, which may hold so many bytes; `run` is the gateway's own."""
         self.settings = settings
         self.layout = layout
         self.run = run
+        self._max_bytes = max_bytes
         self._model = compiled(settings.cell_model)
         self.tags = TileTags(layout, self._model)
         """Of its tiles; any thread."""
@@ -112,6 +116,7 @@ class GatheredMap:
 
         Raises:
             OtherMap: it is of a map of other settings, or of another share's tiles.
+            LimitReached: there is no memory for it.
             BadMessage: it does not follow what is held of the share.
         """
         self._check(share, updates)
@@ -124,6 +129,11 @@ class GatheredMap:
             # Before anybody can see a tile of it.
             self.tags.note(self.state.copies.revision + 1, share, part, self.state.copies)
             copies = self._pasted(share, held, updates)
+            if copies.nbytes > self._max_bytes:
+                raise LimitReached(
+                    f"with it the map takes {copies.nbytes} bytes, more than mapper.max_memory allows, "
+                    f"{self._max_bytes:.0f}: raise that of the gateway"
+                )
             parts = (*self.state.parts[:share], part, *self.state.parts[share + 1 :])
             self.state = Gathered(parts, copies, life_of(parts), tag_of(parts))
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import zenoh
 
-from ogm_core.errors import BadMessage, OgmError, printable
+from ogm_core.errors import BadMessage, LimitReached, OgmError, printable
 from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.map_update import MapUpdate, decode_updates
 from ogm_services.mapper.shares.gathered_map import Gathered, GatheredMap, OtherMap
@@ -148,7 +148,7 @@ class Gathering:
 
     def _refuse(self, share: int, error: OgmError) -> None:
         self._refused[share] = str(error)
-        if isinstance(error, OtherMap):
+        if isinstance(error, OtherMap | LimitReached):
             self._log.warning(f"share {share}", f"what it tells is not taken: {error}")
 
     def _note(self, heard: Mapping[int, str]) -> None:
