@@ -9,8 +9,8 @@ import pytest
 from counts_model import Counts, scans
 from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.rate import Rate
-from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
+from ogm_core.separate_grid import grid_of as map_of
 
 RUN = "run1"
 MODELS = pytest.mark.parametrize(
@@ -21,7 +21,7 @@ MODELS = pytest.mark.parametrize(
 
 def grid_of(model=None, epoch="epoch1", **changes):
     """A map without scans, 5 cm a cell unless `changes` say otherwise."""
-    return OccupancyGrid(GridSettings(**{"cell_model": model or LogOdds(), **changes}), epoch)
+    return map_of(GridSettings(**{"cell_model": model or LogOdds(), **changes}), epoch)
 
 
 def fingerprint(grid, placing=None, *, epoch=True):
@@ -29,6 +29,7 @@ def fingerprint(grid, placing=None, *, epoch=True):
     snapshot = grid.snapshot()
     told = {**snapshot.meta(), "run": "", "updates": grid.cell_updates, "bytes": grid.nbytes}
     told["time"] = grid.time
+    told["robots"] = list(getattr(grid, "robots", ()))
     if not epoch:
         del told["epoch"]
     digest = hashlib.sha256(json.dumps(told).encode())
@@ -68,8 +69,8 @@ class Story:
             if scan is None:
                 self._scans = iter(scans())
                 scan = next(self._scans)
-            self.grid.integrate(*in_time(scan, self.grid))
-            robot = f"robot{self.grid.revision % len(self.placing)}"
+            robot = f"robot{(self.grid.revision + 1) % len(self.placing)}"
+            self.grid.integrate(*in_time(scan, self.grid), robot=robot)
             self.placing[robot] = self._changed[robot] = b"%d " % self.grid.revision * 200
 
     def commit(self):

@@ -5,6 +5,7 @@ import sqlite3
 
 import pytest
 
+from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadStore
 from ogm_services.mapper.storage.map_store import MapStore
 from stored_maps import Story, grid_of, restored
@@ -88,9 +89,14 @@ def test_what_is_not_damaged_is_restored(tmp_path, story):
         assert restored(store, story.grid.settings) == story.now
 
 
-def test_a_store_that_is_tampered_with_is_exact_or_refused(tmp_path):
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"model": Rate(), "separate_robots": True, "resolution": 0.25}],
+    ids=["one", "robots apart"],
+)
+def test_a_store_that_is_tampered_with_is_exact_or_refused(tmp_path, changes):
     """Sixty places: bits, lengths, pages and rows, in the file and in its log."""
-    found = tampered(60, tmp_path)
+    found = tampered(60, tmp_path, **changes)
     results = {result for _, result, _ in found}
     assert results == {"exact", "refused"}
     assert sum(found.values()) == 60

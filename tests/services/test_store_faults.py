@@ -236,12 +236,14 @@ def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventu
         assert [snapshot.name for snapshot in store.snapshots.list()] == ["now"]
 
 
-@pytest.mark.parametrize("half_life", [None, 6.0])
-@pytest.mark.parametrize("model", [LogOdds(), Rate()], ids=["log_odds", "rate"])
-def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, model, half_life):
+@pytest.mark.parametrize(
+    ("name", "half_life"),
+    [("log_odds", None), ("log_odds", 6.0), ("rate", None), ("rate", 6.0), ("robots", None)],
+)
+def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, name, half_life):
     """Three kills at moments of their own, each in the middle of commits; the next process goes on."""
     code = (TESTS / "store_till_killed.py").as_posix()
-    name, revision, states = "rate" if isinstance(model, Rate) else "log_odds", 0, {}
+    model, robots, revision, states = LogOdds() if name == "log_odds" else Rate(), name == "robots", 0, {}
     for k in range(3):
         with subprocess.Popen(
             [sys.executable, code, tmp_path / "map", name, *(() if half_life is None else [str(half_life)])],
@@ -260,7 +262,7 @@ def test_a_map_that_is_stored_when_the_process_is_killed_is_exact(tmp_path, mode
             if len(said) == 3:
                 states[said[1]] = int(said[2])
                 committed = max(committed, int(said[2]) if said[0] == "stored" else 0)
-        grid = grid_of(model, half_life=half_life)
+        grid = grid_of(model, half_life=half_life, separate_robots=robots)
         with MapStore(tmp_path / "map") as store:
             found = store.restore(grid.settings)
         revision = found.state.map.revision
