@@ -174,8 +174,10 @@ class OccupancyGrid:
             return None
         place = self._extent, self._store, self.max_bytes, self.revision + 1
         updates = self._one_call.integrate(placed, *place)
-        if threads is not None and updates is not None and updates >= threads.worth_sharing:
-            threads.alone(beams, updates)
+        if threads is not None and updates is not None:
+            work = updates * self._one_call.cell_work
+            if work >= threads.worth_sharing:
+                threads.alone(beams, work)
         return updates
 
     def pass_over(self, stamp: int) -> None:

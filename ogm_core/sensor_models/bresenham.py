@@ -32,7 +32,7 @@ FRACTION_BITS = 42
 CUT = 32
 """Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
 CELL_WORK = 1.0
-"""How much work a cell is: one along a beam is 1."""
+"""How much work a cell is: this is the measure of all."""
 _ONE = 2.0**FRACTION_BITS
 _HALF = _ONE / 2.0
 _LONGEST_PIECE = 4000

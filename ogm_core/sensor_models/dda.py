@@ -44,8 +44,8 @@ from ogm_core.tiles.store import TILE, TILE_BITS
 
 CUT = 32
 """Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
-CELL_WORK = 1.0
-"""How much work a cell is: one along a beam is 1."""
+CELL_WORK = 1.8
+"""How much work a cell is: one along Bresenham's line is 1."""
 _BITS = 61
 """Of a fixed-point number: what is left beside the sign and the carry."""
 

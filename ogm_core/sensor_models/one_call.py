@@ -57,6 +57,8 @@ class OneCall:
         self._settings = settings
         self._plane, self._constants = plane, constants
         self._exact = settings.traversal == "dda"
+        self.cell_work = (dda if self._exact else bresenham).CELL_WORK
+        """How much work a cell is."""
         self._drops = settings.outside == "drop" and settings.bounds is not None
         self._sensors: dict[_Kind, _Sensor | None] = {}
         self._place: _Place | None = None

@@ -59,8 +59,8 @@ __all__ = ["extent", "strip_work", "touch_tiles", "update_planes"]
 
 CUT = 32
 """Parts for threads begin at every so many-th column: none writes into a cache line of another's."""
-CELL_WORK = 1.3
-"""How much work a cell is: one along a beam of log odds is 1."""
+CELL_WORK = 2.4
+"""How much work a cell is: one along Bresenham's line is 1."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

@@ -32,8 +32,8 @@ SPAN_FREE, SPAN_OCCUPIED = 1, 2
 """Classes of a span."""
 CUT = TILE
 """Parts for threads begin at every so many-th column: blocks are updated whole."""
-CELL_WORK = 0.15
-"""How much work a cell is, most of them by blocks: one along a beam is 1."""
+CELL_WORK = 0.25
+"""How much work a cell is, most of them by blocks: one along Bresenham's line is 1."""
 
 
 @njit(cache=True, error_model="numpy")

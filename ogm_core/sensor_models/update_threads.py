@@ -20,7 +20,7 @@ from ogm_core.sensor_models.strip_work import even_cuts
 from ogm_core.tiles.parts import StorePart, part_of_window
 from ogm_core.tiles.store import TILE, TileStore
 
-LEAST_CELLS = 80_000
+LEAST_CELLS = 120_000
 """To wake up a thread for less work takes longer than it saves; cells along beams."""
 _AHEAD = 1 / 6
 """Of that, the calling thread has updated so many before the others have woken up."""

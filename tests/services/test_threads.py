@@ -18,9 +18,9 @@ from ogm_services.commands.build import run_build
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.settings.sources import load_settings
 
-BEAMS = 1000
+BEAMS = 1400
 FINE = 0.02
-"""m: a scan of so many beams of some metres changes 300,000 cells."""
+"""m: a scan of so many beams of some metres changes 400,000 cells."""
 
 
 def settings_of(threads=None, **environ):
