@@ -27,8 +27,11 @@ _AHEAD = 1 / 6
 _SIZES = 64
 _A_BEAM = 5
 """Numbers that evidence has of a beam; it has about as many of a row of an area."""
-_GAIN = 0.9
-"""Sharing a scan paid if it took less than this part of what one thread takes."""
+_GAIN = 0.75
+"""Sharing a scan paid if it took less than this part of what one thread would compute.
+
+That is estimated too large, by the beams that are read twice, and what was done before is not in it.
+"""
 _LONGEST_REST = 63
 """So many large scans go to one thread alone while the machine has no core for another."""
 
