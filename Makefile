@@ -107,7 +107,7 @@ $(VENV)/.run: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(BIN)/python
-	@echo "Installing into $(VENV), once, with the tools of development: 0.8 GB on disk, a minute or two."
+	@echo "Installing into $(VENV), once, with the tools of development: 0.9 GB on disk, a minute or two."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/.run
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from fleet_files import unit_keys
 from ogm_services.cli import app
 from ogm_services.mapper.live.watch import LOOK_PERIOD
 from ogm_services.mapper.service import COMPILATION, STOP_TIME
@@ -23,14 +24,7 @@ ON = ("DynamicUser", "ProtectHome", "PrivateTmp", "PrivateDevices", "NoNewPrivil
 @pytest.fixture(scope="module")
 def service():
     """Values of every key of the section [Service], in order."""
-    found, section = {}, None
-    for line in UNIT.read_text().splitlines():
-        if match := re.fullmatch(r"\[(\w+)\]", line):
-            section = match[1]
-        elif section == "Service" and line and not line.startswith("#"):
-            key, _, value = line.partition("=")
-            found.setdefault(key, []).append(value)
-    return found
+    return unit_keys(UNIT)
 
 
 @pytest.fixture(scope="module")
