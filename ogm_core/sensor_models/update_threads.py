@@ -27,12 +27,15 @@ _AHEAD = 1 / 6
 _SIZES = 64
 _A_BEAM = 5
 """Numbers that evidence has of a beam; it has about as many of a row of an area."""
-_GAIN = 0.75
-"""Sharing a scan paid if it took less than this part of what one thread would compute.
+_GAIN, _BEFORE = 0.86, 30e-6
+"""Sharing a scan paid if it took less than this part of what one thread would compute, `_BEFORE` included.
 
-That is estimated too large, by the beams that are read twice, and what was done before is not in it.
+That is estimated too large, by the beams that are read twice. To find cuts, and what one call does otherwise,
+takes so long before, s.
 """
-_LONGEST_REST = 63
+_TRIES = 4
+"""So many scans are shared till it is given up: the first ones find caches cold and threads fast asleep."""
+_LONGEST_REST = 127
 """So many large scans go to one thread alone while the machine has no core for another."""
 
 
@@ -54,8 +57,9 @@ class UpdateThreads:
         """From how much work on a scan is shared, in cells along beams."""
         self._worth = [count > 1] * _SIZES
         """Whether the last scan of up to 2^k beams was that much work, by k."""
-        self._rest = self._resting = 0
-        """How many large scans one thread takes alone after one that did not pay, and how many are left."""
+        self._rest = self._resting = self._misses = 0
+        """How many large scans one thread takes alone where sharing does not pay, how many of these are left,
+        and how many have not paid in a row."""
         self._updating = threading.Lock()
         self._inboxes: list[SimpleQueue[_Scan | None]] = []
         self._threads: list[threading.Thread] = []
@@ -129,13 +133,21 @@ class UpdateThreads:
             for inbox in self._inboxes[: len(scan.left)]:
                 inbox.put(scan)
             updates = scan.finish()
-            paid = time.perf_counter() - began < _GAIN * scan.alone
-            self._rest = 0 if paid else min(2 * self._rest + 1, _LONGEST_REST)
-            self._resting = self._rest
+            paid = time.perf_counter() - began + _BEFORE < _GAIN * scan.alone
+            self._judge(paid=paid)
             return updates
         except BaseException:
             self._end()  # whoever catches this finds nobody at work on the map
             raise
+
+    def _judge(self, *, paid: bool) -> None:
+        """Go on sharing while it pays, else rest ever longer."""
+        self._misses = 0 if paid else self._misses + 1
+        if paid:
+            self._rest = 0
+        elif self._misses >= _TRIES:
+            self._misses = 0
+            self._rest = self._resting = min(2 * self._rest + 1, _LONGEST_REST)
 
     def _start(self, count: int) -> None:
         while len(self._threads) < count:
