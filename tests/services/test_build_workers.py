@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from ogm_core.errors import BadRecording, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import CellRect, Clip
+from ogm_core.logs.recordings import RecordedScan, RecordingReader, write_jsonl
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_services.commands import build
 from ogm_services.commands.batch.areas import areas_of
@@ -84,6 +86,25 @@ def test_the_files_are_those_of_one_process(tmp_path, logs, flags, capsys):
     assert built(tmp_path / "many", logs, settings, held=held, workers=4) == alone
     assert capsys.readouterr().out == said
     assert not list(tmp_path.glob(".ogm-build-*"))
+
+
+@pytest.mark.usefixtures("at_work")
+def test_a_map_that_forgets_does_so_wherever_its_scans_lie(tmp_path, logs):
+    """Three logs far from each other: time passes in an area by scans of others, to the last one."""
+    for log, by in ((logs[1], 40.0), (logs[2], -40.0)):
+        with RecordingReader(log) as reader:
+            messages = list(reader)
+        write_jsonl(log, [shifted(message, by) for message in messages])
+    settings = settings_of(half_life=1.0)
+    assert built(tmp_path / "many", logs, settings, workers=4) == built(tmp_path / "alone", logs, settings)
+
+
+def shifted(message, by):
+    """A message of 10 s later; a pose lies so many metres farther in the east."""
+    told = replace(message.message, stamp=message.message.stamp + 10 * 10**9)
+    if not isinstance(message, RecordedScan):
+        told = replace(told, pose=told.pose._replace(x=told.pose.x + by))
+    return replace(message, message=told)
 
 
 def test_processes_make_the_same_files(tmp_path, logs):
