@@ -1,4 +1,4 @@
-"""A mapper that starts ends within bounded time of a signal, whatever its start is in."""
+"""A mapper, or gateway, that starts ends within bounded time of a signal, whatever its start is in."""
 
 import signal
 import socket
@@ -37,6 +37,12 @@ def for_ever(*_):
 
 service.STOP_TIME = 0.5
 """
+GATEWAY = """
+from ogm_services.mapper.gateway import gateway_service
+from ogm_services.mapper.shares.gathering import Gathering
+
+gateway_service.STOP_TIME = 0.5
+"""
 PLACES = {
     "restoring a map": "parts.started_grid",
     "connecting": "service.open_session",
@@ -51,11 +57,11 @@ ENDING = signal.SIGTERM, signal.SIGINT, signal.SIGHUP
 
 @pytest.fixture
 def started():
-    """`started(code, *options)` runs a mapper, and kills it at the end."""
+    """`started(code, *options)` runs a mapper, or another `service`, and kills it at the end."""
     children = []
 
-    def start(code, *options):
-        command = [sys.executable, "-c", f"{code}\napp()\n", "mapper", "--http-port", "0", *options]
+    def start(code, *options, service="mapper"):
+        command = [sys.executable, "-c", f"{code}\napp()\n", service, "--http-port", "0", *options]
         # A shell's background processes ignore SIGINT, and what they start does, too.
         child = subprocess.Popen(
             command,
@@ -89,6 +95,19 @@ def test_a_start_that_does_not_end_ends_with_the_process(started, tmp_path, plac
     assert line.startswith("ogm: the mapper has not stopped within 0.5 s, so it ends as it is: ")
     assert "does not return; threads that go on: " in line
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["gateway_service.warm_up", "Gathering.gather"])
+def test_a_gateway_s_start_that_does_not_end_ends_with_the_process(started, place):
+    code = f"{CHILD}{GATEWAY}IN_A_LIBRARY = {place == 'Gathering.gather'}\n{place} = for_ever"
+    child = started(code, "--listen", "tcp/127.0.0.1:0", service="gateway")
+    assert "it begins\n" in child.stdout
+    child.send_signal(signal.SIGTERM)
+    _, errors = child.communicate()
+    assert child.returncode == 1
+    (line,) = (line for line in errors.splitlines() if line.startswith("ogm: "))
+    assert line.startswith("ogm: the gateway has not stopped within 0.5 s, so it ends as it is: ")
+    assert "does not return; threads that go on: " in line
 
 
 @pytest.mark.parametrize("number", ENDING)

@@ -1,4 +1,7 @@
-"""A mapper stops in bounded time, whatever does not end in it; its map is written if nobody writes on it."""
+"""A mapper stops in bounded time, whatever does not end in it; its map is written if nobody writes on it.
+
+So does a gateway.
+"""
 
 import re
 import signal
@@ -35,13 +38,30 @@ def with_a_map(mapper):
 service.MapperService.wait = with_a_map
 service.STOP_TIME = service.WORKER_TIME = 0.5
 """
+GATEWAY = """
+import threading
+from ogm_services.cli import app
+from ogm_services.mapper.gateway import gateway_service
+from ogm_services.mapper.gateway.gathered_answers import GatheredAnswers
+
+def for_ever(*_):
+    print("it begins", flush=True)
+    threading.Event().wait()
+
+gateway_service.STOP_TIME = 0.5
+"""
 RUN = "\napp()\n"
 
 
 def run(patch, folder, meanwhile=lambda url: None):
     """Run a mapper with a patch until something in it does not end, and stop it: stderr's last lines."""
-    options = ["mapper", "--listen", "tcp/127.0.0.1:0", "--http-port", "0", "--out", str(folder)]
-    command = [sys.executable, "-c", CHILD + patch + RUN, *options]
+    return run_child(CHILD + patch, ["mapper", "--out", str(folder)], meanwhile)
+
+
+def run_child(code, options, meanwhile=lambda url: None):
+    """Run any service, likewise."""
+    listens = ["--listen", "tcp/127.0.0.1:0", "--http-port", "0"]
+    command = [sys.executable, "-c", code + RUN, *options, *listens]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **pipes) as child:
         timer = threading.Timer(120, child.kill)
@@ -81,18 +101,28 @@ def test_a_worker_that_does_not_end_ends_with_the_process_and_the_newest_copy_of
     assert (tmp_path / "map.npz").read_bytes() == copied[0]
 
 
+def ask(url):
+    """Ask for a cell, and do not wait for the answer."""
+
+    def get():
+        with suppress(OSError):
+            urllib.request.urlopen(f"{url}cell?x=0&y=0", timeout=60)
+
+    threading.Thread(target=get, daemon=True).start()
+
+
 def test_a_question_that_does_not_end_ends_with_the_process_and_the_map_is_written(tmp_path):
-    def ask(url):
-        def get():
-            with suppress(OSError):
-                urllib.request.urlopen(f"{url}cell?x=0&y=0", timeout=60)
-
-        threading.Thread(target=get, daemon=True).start()
-
     (stopped,) = run("Answers.cell = for_ever", tmp_path, ask)
     assert "so it ends as it is: HttpThread.__exit__ does not return; threads that go on:" in stopped
     assert "ogm-maps" in stopped
     assert {path.name for path in tmp_path.iterdir()} >= {"map.png", "map.npz", "quality.json"}
+
+
+def test_a_gateway_ends_with_a_question_that_does_not():
+    (stopped,) = run_child(GATEWAY + "GatheredAnswers.cell = for_ever", ["gateway"], ask)
+    why = "ogm: the gateway has not stopped within 0.5 s, so it ends as it is: HttpThread.__exit__"
+    assert stopped.startswith(f"{why} does not return; threads that go on: ")
+    assert "ogm-maps" in stopped
 
 
 def test_what_closing_raises_is_raised():

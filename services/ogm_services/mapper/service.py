@@ -36,7 +36,7 @@ from ogm_services.mapper.serving.share_part import SharePart
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder
-from ogm_services.runtime.bounded_close import Closing
+from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
@@ -52,18 +52,10 @@ SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
 COMPILATION = {"beam": 10, "sector": 25}
 """How long the kernels of a sensor model take to compile, about, s."""
-STOP_TIME = 9.0
-"""How long a mapper may take to stop, s: 10 s after a signal all that can be is on the disk."""
 WORKER_TIME = 5.0
 """How long of that the worker may take to finish the scan in hand, s; no scan within the limits does."""
 
 log = logging.getLogger(__name__)
-
-
-class NotStopped(OgmError):
-    """The mapper did not stop in time: some of its threads go on."""
-
-    slug = "not-stopped"
 
 
 class ServiceStopped(OgmError):
@@ -124,7 +116,7 @@ def _end_start(service: "MapperService | None", held_by: str) -> None:
 
 
 def _not_stopped(held_by: str) -> NotStopped:
-    return NotStopped(f"the mapper has not stopped within {STOP_TIME:g} s, so it ends as it is: {held_by}")
+    return NotStopped.within(STOP_TIME, "mapper", held_by)
 
 
 def _end_as_it_is(stuck: NotStopped, last_map: LastMap, service: "MapperService") -> NoReturn:

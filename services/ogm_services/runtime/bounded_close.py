@@ -4,9 +4,25 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Self
 
+from ogm_core.errors import OgmError
+
+STOP_TIME = 9.0
+"""How long a service may take to stop, s: 10 s after a signal all that can be is on the disk."""
 _BETWEEN = ("threading", "contextlib", __name__)
 """Modules between the closing thread's start and what it calls."""
+
+
+class NotStopped(OgmError):
+    """A service did not stop in time: some of its threads go on."""
+
+    slug = "not-stopped"
+
+    @classmethod
+    def within(cls, seconds: float, service: str, held_by: str) -> Self:
+        """Of a service, "mapper" or "gateway"; `held_by` is what it waits for."""
+        return cls(f"the {service} has not stopped within {seconds:g} s, so it ends as it is: {held_by}")
 
 
 class Closing:

@@ -3,6 +3,7 @@
 import dataclasses
 import ipaddress
 import logging
+import os
 import socket
 import sys
 import threading
@@ -10,7 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
 from types import TracebackType
-from typing import Self
+from typing import NoReturn, Self
 
 import typer
 
@@ -25,6 +26,8 @@ from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import host_name
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
+from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped
+from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.service_manager import ServiceManager
 from ogm_services.runtime.signals import held_signals
@@ -51,21 +54,43 @@ def run_gateway(settings: Settings) -> None:
         BadSetting: the map cannot be cut so.
         CannotServe, CannotListen, CannotConnect: an address is taken or unreachable.
         GatewayStopped: it ended by itself.
+
+    A gateway that does not stop within STOP_TIME, while it starts or later, ends the process, with code 1.
     """
     settings.shares.cuts.check(settings.grid_settings().lattice, settings.map.bounds)
     sys.setswitchinterval(SWITCH_INTERVAL)
     manager = ServiceManager()
     changed = ", ".join(differences(settings)) or "its default settings"
     log.info("zenoh-ogm %s: a gateway starts, with %s", version("zenoh-ogm"), changed)
-    with GatewayService(settings) as service:
-        for line in service.addresses:
-            typer.echo(line)
-        manager.ready("; ".join(service.addresses))
-        try:
-            service.wait(manager.alive)
-        finally:
-            manager.stopping("the gateway stops")
+    try:
+        with ExitStack() as running:
+            with ended_within(STOP_TIME, lambda held_by: _end_as_it_is(_not_stopped(held_by))):
+                service = running.enter_context(GatewayService(settings))
+            for line in service.addresses:
+                typer.echo(line)
+            manager.ready("; ".join(service.addresses))
+            try:
+                service.wait(manager.alive)
+            finally:
+                manager.stopping("the gateway stops")
+    except NotStopped as stuck:
+        _end_as_it_is(stuck)
     log.info("the gateway has stopped")
+
+
+def _not_stopped(held_by: str) -> NotStopped:
+    return NotStopped.within(STOP_TIME, "gateway", held_by)
+
+
+def _end_as_it_is(stuck: NotStopped) -> NoReturn:
+    """End the process, in which something does not stop: whatever else waits at its end waits for that."""
+    try:
+        for error in (stuck.__context__, stuck):
+            if isinstance(error, OgmError):
+                typer.echo(f"ogm: {error}", err=True)
+        sys.stdout.flush()
+    finally:
+        os._exit(1)
 
 
 class GatewayService:
@@ -94,7 +119,9 @@ class GatewayService:
     ) -> None:
         self.parts.stopping.set()  # HTTP says so until the rest has stopped, and only then stops itself
         self.parts.told.stop()  # else whoever has asked for figures would keep the others from ending
-        self._open.close()
+        held_by = Closing(self._open.close).held_after(STOP_TIME)
+        if held_by is not None:
+            raise _not_stopped(held_by)
 
     def wait(self, alive: Callable[[], None] = lambda: None) -> None:
         """Sleep until KeyboardInterrupt; `alive` is told that all is well.
