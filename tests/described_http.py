@@ -2,7 +2,7 @@
 
 import json
 import re
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from unittest.mock import MagicMock
 
@@ -10,6 +10,7 @@ import httpx
 from jsonschema import Draft202012Validator
 
 from ogm_core.cells.thresholds import FREE_BELOW
+from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
 
@@ -38,7 +39,7 @@ class DescribedClient(httpx.Client):
 @cache
 def document():
     """The description, made without a mapper: it is the same of each."""
-    answers = MagicMock(free_below=FREE_BELOW)
+    answers = MagicMock(free_below=FREE_BELOW, map_parameters=partial(Answers.map_parameters, None))
     app = build_app(answers, *[MagicMock()] * 3, access=HttpAccess(), threads=MagicMock())
     return json.loads(json.dumps(app.openapi()))
 

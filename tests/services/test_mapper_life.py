@@ -11,11 +11,13 @@ import httpx
 import pytest
 
 from ogm_client.session import NetworkConfig, open_session
+from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.live import load
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
+from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_routes import build_app
@@ -26,7 +28,13 @@ from ogm_services.replies.answer import Unavailable
 
 
 class BrokenAnswers:
-    """Answers with a bug in one of them."""
+    """Answers with a bug in each; what routes are made of is there."""
+
+    free_below = FREE_BELOW
+
+    def map_parameters(self, form):
+        """As every mapper's."""
+        return Answers.map_parameters(self, form)
 
     def count_cache(self, _):
         """Nothing is cached."""
@@ -113,11 +121,11 @@ def while_starting(start_mapper, monkeypatch, endpoint):
     warm_up = service_module.warm_up
 
     def start(look):
-        def look_and_warm_up(settings):
+        def look_and_warm_up(settings, threads):
             url, network = f"http://127.0.0.1:{port}", NetworkConfig(connect=(endpoint,))
             with httpx.Client(base_url=url, timeout=30.0) as http, open_session(network) as session:
                 look(http, lambda key: list(session.get(f"ogm/v1/hall/{key}", timeout=30.0)))
-            warm_up(settings)
+            warm_up(settings, threads)
 
         monkeypatch.setattr(service_module, "warm_up", look_and_warm_up)
         return start_mapper(http={"port": port}, network={"listen": [endpoint]})
