@@ -162,7 +162,7 @@ class OccupancyGrid:
             return False
         reached = in_reach(placed, self.lattice, settings.distances[2])
         return (
-            not reached.intersection(extent.clip).cells
+            not reached.meets(extent.clip)
             and extent.stretched.contains(reached)
             and extent.counted(reached) == reached
         )

@@ -56,6 +56,12 @@ class CellRect(NamedTuple):
             return CellRect(ix, iy, 0, 0)
         return CellRect(ix, iy, right - ix, top - iy)
 
+    def meets(self, other: "CellRect") -> bool:
+        """Whether there is a cell that both hold."""
+        return max(self.ix, other.ix) < min(self.ix + self.width, other.ix + other.width) and max(
+            self.iy, other.iy
+        ) < min(self.iy + self.height, other.iy + other.height)
+
     def widened(self, by: int) -> "CellRect":
         """It, and so many cells more on every side."""
         return CellRect(self.ix - by, self.iy - by, self.width + 2 * by, self.height + 2 * by)

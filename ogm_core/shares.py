@@ -1,7 +1,7 @@
 """Shares: a map that is cut into rectangles of tiles, each kept by a mapper of its own. Loads no kernels."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -145,6 +145,11 @@ class Ground:
     clip: Clip
     lattice: Lattice
     reach: float
+    rect: CellRect = field(init=False)
+    """Those of `clip`, once for all scans."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rect", self.clip.rect)
 
     def whose(self, placed: PlacedScan) -> Whose:
         """`home` where the sensor stood on these cells, at the scan's stamp: that holds in one share alone.
@@ -153,8 +158,7 @@ class Ground:
         """
         if self._holds(placed.pose):
             return "home"
-        reached = in_reach(placed, self.lattice, self.reach).intersection(self.clip.rect)
-        return "border" if reached.cells else "elsewhere"
+        return "border" if in_reach(placed, self.lattice, self.reach).meets(self.rect) else "elsewhere"
 
     def _holds(self, pose: Pose) -> bool:
         """Also of poses so far away that cells are not addressed there."""

@@ -164,6 +164,8 @@ def test_rectangles_unite_intersect_and_contain():
     assert a.cells == 12
     assert a.union(b) == b.union(a) == CellRect(-2, 0, 8, 7)
     assert a.intersection(b) == b.intersection(a) == CellRect(1, 2, 1, 1)
+    assert a.meets(b)
+    assert b.meets(a)
     assert a.union(b).contains(a)
     assert not a.contains(b)
     assert a.contains(a)
@@ -172,6 +174,7 @@ def test_rectangles_unite_intersect_and_contain():
 @pytest.mark.parametrize("other", [CellRect(2, 0, 3, 3), CellRect(-2, 3, 4, 1), CellRect(9, 9, 1, 1)])
 def test_rectangles_that_only_touch_share_no_cell(other):
     assert CellRect(-2, 0, 4, 3).intersection(other).cells == 0
+    assert not CellRect(-2, 0, 4, 3).meets(other)
 
 
 @pytest.mark.parametrize(
