@@ -40,16 +40,20 @@ def all_in_one_tile(
 ) -> bool:
     """Whether all halves in which the end counts surely lie in one tile, and in the window.
 
-    `count` is that of `half_columns`. Towards the sensor these are up to three halves from the end's own, and
-    one on all other sides.
+    `count` is that of `half_columns`. Towards the sensor these are up to three halves from the end's own
+    along the major axis, and four along the other: where the end lies at the far side of its half, the first
+    of the columns has its middle three and a half before it. On all other sides it is one.
     """
     i, j, last = point[0] >> 3, point[1] >> 3, 2 * TILE - 1
-    ahead, aside = (_COLUMNS if line.sign > 0 else 1), (_COLUMNS if line.rise > 0 else 1)
-    west, south = (ahead, aside) if line.along_i else (aside, ahead)
+    ahead, behind = (_COLUMNS, 1) if line.sign > 0 else (1, _COLUMNS)
+    below, above = (_COLUMNS + 1, 1) if line.rise > 0 else (1, _COLUMNS + 1)
+    west, east, south, north = (
+        (ahead, behind, below, above) if line.along_i else (below, above, ahead, behind)
+    )
     across = int(i + column[0]) & last
-    inside = (across >= west) & (across <= last - 4 + west)
-    inside &= (j & last >= south) & (j & last <= last - 4 + south)
-    inside &= half_inside(i - west, j - south, window) & half_inside(i + 4 - west, j + 4 - south, window)
+    inside = (across >= west) & (across <= last - east)
+    inside &= (j & last >= south) & (j & last <= last - north)
+    inside &= half_inside(i - west, j - south, window) & half_inside(i + east, j + north, window)
     return inside & (count >= _COLUMNS - 1)
 
 

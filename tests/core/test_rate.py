@@ -190,6 +190,25 @@ def test_random_beams_also_past_the_edges(seed, spread):
         assert_counted(*found, 250, 180)
 
 
+@pytest.mark.parametrize("along", [0, 1])
+@pytest.mark.parametrize("sides", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_diagonal_beams_that_end_by_the_corner_of_a_tile(sides, along):
+    """The first half of an end lies up to four from the last: in another tile, where that begins."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        start = 16 * 64 - 16 * 9 * np.array(sides) + rng.integers(-24, 25, 2)
+        lengths = np.empty((120, 2), np.int64)
+        lengths[:, along] = 16 * 9 + rng.integers(-40, 41, 120)
+        lengths[:, 1 - along] = lengths[:, along] - rng.integers(0, 4, 120)
+        points = start + lengths * sides
+        for place in ((0, 0), 16 * 64 * (np.array(sides) < 0)):  # in the middle of a store, and at its edge
+            moved = (start - place).tolist(), (points - place).tolist()
+            store, twin = counted(*moved, [2] * 120, [16] * 120, 128, 128)
+            assert_counted(store, twin, 128, 128)
+            written = [plane.tiles(store.touched.shape).any(axis=2) for plane in store.planes.values()]
+            assert np.array_equal(np.any(written, axis=0), store.touched > 0)
+
+
 def test_long_beams_are_exact():
     rng = np.random.default_rng(5)
     start = 16 * 4500 + 3, 16 * 4500 + 11
