@@ -468,13 +468,56 @@ def test_a_robot_answers_from_its_own_cache_and_from_no_other(site, eventually):
         subscriber.undeclare()
 
 
+def of_router(text):
+    """mapper.json5 for a router, as docs/security.md says: another mode, no `rx`."""
+    assert 'mode: "peer"' in text
+    return re.sub(r"\n *rx: .*", "", text.replace('mode: "peer"', 'mode: "router"'))
+
+
+def test_shares_and_a_gateway_work_together_and_nobody_else_asks_or_answers_for_one(site, ogm, eventually):
+    """As docs/security.md says: each is a client of the router with the certificate `mapper`."""
+    endpoint, asked = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/"), []
+    flags = ["--http-port", 0, "--cuts-x", 0, "--reach", 5, "--zenoh-config"]
+    flags.append(site.client("mapper", endpoint=endpoint))
+
+    def lie(query):
+        with query:
+            asked.append(str(query.key_expr))
+            query.reply(query.key_expr, b"{}")
+
+    with ExitStack() as opened:
+        opened.enter_context(zenoh.open(zenoh.Config.from_file(site.mapper(of_router, endpoint))))
+        strangers = [
+            opened.enter_context(site.session(name, endpoint=endpoint))
+            for name in ("robot2", "viewer", "operator")
+        ]
+        handler = zenoh.handlers.Callback(lie, indirect=False)
+        keys = [f"{OWN}/shares/{share}/{name}" for share in (0, 1) for name in ("part", "status", "reset")]
+        held = [who.declare_queryable(key, handler) for who in strangers for key in keys]
+        for running in [
+            *(ogm.start("mapper", "--share", share, *flags) for share in (0, 1)),
+            ogm.start("gateway", *flags),
+        ]:
+            running.line(r"(status  |live map) http://")
+        client = MapClient(session=strangers[1], timeout=30.0)
+        robot = opened.enter_context(site.robot("robot1", of="robot1", endpoint=endpoint))
+        robot.wait_for_mapper(30.0)
+        for k in range(5):
+            robot.publish_scan([1.0] * 5, **SWEEP, pose=(0.5 * k - 1.0, 0.0, 0.0))
+        status = eventually(lambda: (told := client.status()).revision == 10 and told)
+        assert (status.scans.integrated, status.complete) == (5, True)
+        for who in strangers:
+            for key in (*keys, f"{OWN}/shares/*/reset"):
+                elsewhere = who.get(key, timeout=30.0, allowed_destination=zenoh.Locality.REMOTE)
+                assert list(elsewhere) == []
+        assert client.status().revision == 10
+        assert client.get_map().known.any()
+        assert len(held) == 18
+        assert asked == []
+
+
 def test_a_router_with_the_same_rules_stands_between(site, ogm, eventually):
-    """As docs/security.md says: another mode, no `rx`; the mapper is a client with a certificate."""
-
-    def of_router(text):
-        assert 'mode: "peer"' in text
-        return re.sub(r"\n *rx: .*", "", text.replace('mode: "peer"', 'mode: "router"'))
-
+    """As docs/security.md says; the mapper is a client with a certificate."""
     endpoint = resolve_listen("tcp/127.0.0.1:0").replace("tcp/", "tls/")
     with zenoh.open(zenoh.Config.from_file(site.mapper(of_router, endpoint))):
         config = site.client("mapper", endpoint=endpoint)
