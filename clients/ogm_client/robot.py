@@ -186,7 +186,7 @@ class RobotPublisher:
             channel.seq += 1
 
     def put_pose(self, message: PoseStamped) -> None:
-        """Send a pose message as it is, with the `run` and `seq` that it carries.
+        """Send a pose message as it is, with the `run` and `seq` that it carries; see `put_scan` of run "".
 
         Raises:
             BadMessage: a mapper would refuse it; nothing is sent.
@@ -198,6 +198,9 @@ class RobotPublisher:
 
     def put_scan(self, sensor: str, scan: Scan) -> None:
         """Send a scan message as it is, with the `run` and `seq` that it carries.
+
+        Of a message whose run is "" nobody can tell whether it was taken: a mapper that misses it, as it does
+        while it starts again, does not ask for it.
 
         Raises:
             BadMessage: a mapper would refuse it; nothing is sent.
