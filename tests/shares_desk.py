@@ -18,6 +18,7 @@ from ogm_core.wire.map_changes import updates_of
 from ogm_core.wire.map_update import encode_update
 from ogm_services.mapper.shares.layout import ShareLayout
 from ogm_services.mapper.shares.share_parts import PartState
+from ogm_services.mapper.storage.map_settings import as_text
 
 FOUR = ShareLayout.of(Cuts((0.0,), (0.0,)), Lattice(0.05))
 """Four shares that meet at the anchor."""
@@ -78,6 +79,7 @@ class FakeShare:
     def attachment(self):
         cuts = self.layout.cuts
         told = {"share": self.index, "shares": cuts.count, "cuts_x": list(cuts.x), "cuts_y": list(cuts.y)}
+        told["settings"] = as_text(self.grid.settings)
         return self.grid.snapshot().meta() | told
 
 

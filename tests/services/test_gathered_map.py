@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ogm_core.cells.log_odds import LogOdds
 from ogm_core.cells.rate import Rate
 from ogm_core.errors import BadMessage, LimitReached
 from ogm_core.files.map_files import encode_npz, encode_pgm
@@ -238,9 +239,26 @@ def test_parts_of_other_cuts_are_refused_by_name():
         (FakeShare(1).attachment(), "share 1"),
         (FakeShare(2, layout=cut((0.0,), (3.2,))).attachment(), r"cuts_y \[3.2\]"),
         ({}, "share None"),
+        (FakeShare(2).attachment() | {"settings": "x"}, "settings that cannot be read"),
+        (FakeShare(2).attachment() | {"settings": None}, "settings that cannot be read"),
     ):
         with pytest.raises(OtherMap, match=named):
             gathered.check_share(2, told)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        (replace(SETTINGS, reach=6.0), r"made with map\.reach 6\.0, and 5\.0 here"),
+        (replace(SETTINGS, half_life=60.0), r"map\.half_life 60\.0, and none here"),
+        (replace(SETTINGS, cell_model=LogOdds(p_occ=0.8)), r"map\.p_occ 0\.8, and 0\.7 here"),
+        (replace(SETTINGS, cell_model=Rate()), r"map\.cell_model Rate, and LogOdds here"),
+    ],
+)
+def test_parts_whose_cells_become_something_else_of_the_same_scans_are_refused_by_name(settings, named):
+    gathered = GatheredMap(SETTINGS, FOUR, "g")
+    with pytest.raises(OtherMap, match=named):
+        gathered.check_share(2, FakeShare(2, settings).attachment())
 
 
 def test_cells_of_another_share_and_changes_of_what_is_not_held_are_refused():

@@ -24,6 +24,10 @@ def settings(cuts_x=(0.0,), cuts_y=(), index=0, **sections):
 def test_cuts_are_numbers_with_commas_between(environment, cuts):
     environ = {"OGM_SHARES__CUTS_X": environment, "OGM_MAP__RESOLUTION": "0.1", "OGM_MAP__REACH": "5"}
     assert load_settings(config=None, flags={}, environ=environ).shares.cuts_x == cuts
+    with pytest.raises(
+        BadSetting, match=r"^shares.cuts_x: a number is needed, got 'nan' \(environment OGM_SHARES__CUTS_X\)$"
+    ):
+        load_settings(config=None, flags={}, environ=environ | {"OGM_SHARES__CUTS_X": "nan"})
     with pytest.raises(BadSetting, match=r"^shares.cuts_y: a number is needed, got 'x'"):
         load_settings(config=None, flags={}, environ=environ | {"OGM_SHARES__CUTS_Y": "1,x"})
 

@@ -244,5 +244,6 @@ def _in_words(problem: ErrorDetails, given: _Source) -> str:
     section, key = str(problem["loc"][0]), str(problem["loc"][1])
     value, source = given[section, key]
     message = problem["msg"].removeprefix("Value error, ")
-    got = "" if (section, key) in SECRET else f", got {value!r}"
+    told = (section, key) in SECRET or f", got {value!r}" in message
+    got = "" if told else f", got {value!r}"
     return f"{section}.{key}: {message[0].lower()}{message[1:]}{got} ({source})"

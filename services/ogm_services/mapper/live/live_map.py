@@ -171,6 +171,11 @@ class LiveMap:
         return self._state.identity
 
     @property
+    def settings(self) -> GridSettings:
+        """What the map is made with."""
+        return self._grid.settings
+
+    @property
     def free_below(self) -> float:
         """Which probabilities mean free."""
         return self._grid.settings.cell_model.free_below

@@ -14,6 +14,7 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.map_parameters import REGION, region_of
 from ogm_services.mapper.serving.map_updates import SINCE, bytes_to_tell, revision_seen, tiles_of
 from ogm_services.mapper.serving.query_parameters import check_names
+from ogm_services.mapper.storage.map_settings import as_text
 from ogm_services.replies.answer import Answer, Parameters
 from ogm_services.replies.in_flight import InFlight
 
@@ -27,6 +28,7 @@ class SharePart:
         """`answers`: those of the same map. `in_flight` says whether there is memory to make another."""
         self._share = share
         self._map = live_map
+        self._settings = as_text(live_map.settings)
         self._answers = answers
         self._in_flight = in_flight
         self._cache = AnswerCache(answers.now, answers.cache_room)
@@ -75,4 +77,5 @@ class SharePart:
             "shares": share.shares,
             "cuts_x": share.cuts_x,
             "cuts_y": share.cuts_y,
+            "settings": self._settings,
         }

@@ -25,6 +25,7 @@ from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.shares.layout import ShareLayout
 from ogm_services.mapper.shares.share_parts import MissingShare, PartState, life_of, tag_of
 from ogm_services.mapper.shares.tile_tags import TileTags
+from ogm_services.mapper.storage.map_settings import made_otherwise
 
 
 class OtherMap(BadInput):
@@ -98,7 +99,7 @@ class GatheredMap:
         """The newest."""
 
     def check_share(self, share: int, told: Mapping[str, object]) -> None:
-        """Refuse a part of a map that is cut otherwise; `told` is what goes with it.
+        """Refuse a part of a map that is cut otherwise, or made otherwise; `told` is what goes with it.
 
         Raises:
             OtherMap: it is.
@@ -110,6 +111,9 @@ class GatheredMap:
                 raise OtherMap(
                     f"it says {name} {told.get(name)!r:.60}, and this gateway has {value}: give both the same"
                 )
+        otherwise = made_otherwise(told.get("settings"), self.settings)
+        if otherwise is not None:
+            raise OtherMap(f"it was made with {otherwise:.300}: give both the same")
 
     def take(self, share: int, updates: Sequence[MapUpdate]) -> None:
         """Take what a share has told, all messages of one answer.

@@ -1,4 +1,4 @@
-"""Settings that a map is made with, as a store keeps them: whatever decides what a cell becomes.
+"""Settings that a map is made with, as stores keep and shares tell them: all that decides what cells become.
 
 Left out are the limits (`max_cells` and the like): they decide which scans are taken, and may be raised; and
 `free_below`, by which a map is shown.
@@ -21,6 +21,8 @@ from ogm_core.tiles.store import TILE
 
 _COMPARED = ("outside", "sensor_model", "traversal", "alpha", "reach", "clear_range", "half_life")
 _OF_SHARE = ("cuts_x", "cuts_y", "index")
+_OF_PART = ("resolution", "anchor", "planes", "tile", *_OF_SHARE)
+"""What a part of a map tells beside."""
 _ABSENT = {"separate_robots": False}
 """What is not there in the text stands for."""
 
@@ -84,6 +86,26 @@ def settings_as_stored(text: str, given: GridSettings, where: str, cure: str) ->
         )
     anchor = (0.0, 0.0) if given.bounds is not None else tuple(map(float, stored["anchor"]))
     return replace(given, resolution=stored["resolution"], anchor=(anchor[0], anchor[1]))
+
+
+def made_otherwise(told: object, given: GridSettings) -> str | None:
+    """What of the settings that a share tells, by `as_text`, contradicts `given`, in words; None: nothing.
+
+    Not looked at is what is told beside: where cells lie, of which planes they are, and the cuts.
+    """
+    try:
+        theirs, ours = json.loads(str(told)), json.loads(as_text(given))
+        if theirs.get("cell_model") != ours["cell_model"]:
+            return f"map.cell_model {_shown(theirs.get('cell_model'))}, and {_shown(ours['cell_model'])} here"
+    except (ValueError, AttributeError, RecursionError):
+        return "settings that cannot be read"
+    apart = [name for name in {**theirs, **ours} if theirs.get(name) != ours.get(name)]
+    said = [
+        f"{_name(name)} {_shown(theirs.get(name))}, and {_shown(ours.get(name))} here"
+        for name in apart
+        if name not in _OF_PART
+    ]
+    return "; ".join(said) or None
 
 
 def _of_model(model: CellModel) -> dict[str, Any]:
