@@ -86,6 +86,9 @@ class GatheredAnswers(Answers):
 
     def _map_now(self, form: str, given: Parameters) -> Answer:
         if form not in MAP_FORMATS:
+            # Who follows keeps what he holds of a missing share: that has to be something.
+            state, missing = self._gathering.newest
+            _refuse_part([each for each in missing if state.parts[each.share] is None])
             return super()._map_now(form, given)
         whole = _complete(form).read(given) == "1"
         rest = {name: value for name, value in given.items() if name != COMPLETE.name}
