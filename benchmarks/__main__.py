@@ -27,6 +27,7 @@ BENCHMARKS = (
     "threads",
     "gather",
     "shares",
+    "receiving",
     "throughput",
     "latency",
     "pictures",

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import zenoh
 
-from benchmarks.running import line_after, ogm
+from benchmarks.running import line_after, ogm, router
 from benchmarks.table import Result
 from benchmarks.workloads import big, settings_of
 from ogm_client import RobotPublisher
-from ogm_client.session import NetworkConfig, open_session, resolve_listen
+from ogm_client.session import NetworkConfig, open_session
 from ogm_core.grid_settings import GridSettings
 from ogm_core.shares import Cuts
 from ogm_core.types import PlacedScan
@@ -68,14 +68,12 @@ def run(quick: bool) -> list[Result]:
 @contextmanager
 def shares(settings: GridSettings) -> Iterator[tuple[str, zenoh.Session]]:
     """Four mappers that are ready, where they are reached, and a session with them, by a router."""
-    endpoint = resolve_listen("tcp/127.0.0.1:0")
-    scouting = "scouting: {multicast: {enabled: false}, gossip: {enabled: false}}"
-    config = zenoh.Config.from_json5(f'{{mode: "router", listen: {{endpoints: ["{endpoint}"]}}, {scouting}}}')
-    flags = ["--connect", endpoint, "--http-port", "0", "--log-level", "warning"]
+    flags = ["--http-port", "0", "--log-level", "warning"]
     flags += [f"--resolution={settings.resolution}", f"--alpha={settings.alpha}", f"--reach={settings.reach}"]
     flags += ["--cuts-x=0", "--cuts-y=0"]
     with ExitStack() as opening:
-        opening.enter_context(zenoh.open(config))
+        endpoint = opening.enter_context(router())
+        flags += ["--connect", endpoint]
         started = [opening.enter_context(ogm("mapper", f"--share={k}", *flags)) for k in range(CUTS.count)]
         for process in started:
             line_after(process, "status ")

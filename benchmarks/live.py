@@ -152,11 +152,11 @@ def _driven(
         before, lost = client.status().revision, _lost(client)
         watching = opening.enter_context(_watching(running.url, views))
         robots = opening.enter_context(driving(drive))
-        begun = _cpu_time(running)
+        begun = cpu_time(running)
         robots.send("go")
         if not robots.poll(drive.seconds + STARTED):
             raise RuntimeError("the robots did not come back")
-        taken, put = _cpu_time(running) - begun, robots.recv()
+        taken, put = cpu_time(running) - begun, robots.recv()
         wait_for_revision(client, before + put.size)
         time.sleep(2 / CLIENT_RATE)  # the last update
         watching.send("done")
@@ -172,7 +172,7 @@ def _lost(client: MapClient) -> int:
     return sum(scans.dropped.values()) + scans.lost
 
 
-def _cpu_time(running: RunningMapper) -> float:
+def cpu_time(running: RunningMapper) -> float:
     """What the mapper's process has taken so far, s."""
     text = httpx.get(f"{running.url}metrics").text
     (line,) = (line for line in text.splitlines() if line.startswith("process_cpu_seconds_total "))

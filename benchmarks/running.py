@@ -12,7 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+import zenoh
+
 from ogm_client import MapClient, RobotPublisher
+from ogm_client.session import resolve_listen
 from ogm_core.types import PlacedScan
 from ogm_services.settings.sources import without_settings
 
@@ -38,6 +41,16 @@ def mapper(*flags: str) -> Iterator[RunningMapper]:
     with ogm(*command) as process:
         endpoint = line_after(process, "on Zenoh at ")
         yield RunningMapper(endpoint, line_after(process, "live map "))
+
+
+@contextmanager
+def router() -> Iterator[str]:
+    """A Zenoh router in this process, and where it is reached."""
+    endpoint = resolve_listen("tcp/127.0.0.1:0")
+    scouting = "scouting: {multicast: {enabled: false}, gossip: {enabled: false}}"
+    config = zenoh.Config.from_json5(f'{{mode: "router", listen: {{endpoints: ["{endpoint}"]}}, {scouting}}}')
+    with zenoh.open(config):
+        yield endpoint
 
 
 @contextmanager
