@@ -1,6 +1,7 @@
 """Settings of an `OccupancyGrid`: what a map is made of. Light: loads no kernels."""
 
 import math
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -72,7 +73,7 @@ class GridSettings:
             raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
         if self.clear_range is not None and not self.clear_range >= 0.0:
             raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
-        name, margin = type(self.cell_model).__name__, self.cell_model.margin
+        name, margin = _name_of(self.cell_model), self.cell_model.margin
         if not 0 <= margin <= MAX_MARGIN:
             raise BadSetting(
                 f"cell_model: {name} looks {margin} cells around a cell, {MAX_MARGIN} at most can be"
@@ -166,3 +167,8 @@ class GridSettings:
         if self.bounds is None:
             return Lattice(self.resolution, self.anchor), None
         return bounded(self.resolution, self.bounds)
+
+
+def _name_of(model: CellModel) -> str:
+    """What a cell model is called in settings: log_odds, for LogOdds."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", type(model).__name__).lower()

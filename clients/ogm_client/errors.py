@@ -113,8 +113,8 @@ class PartialMap(ClientError):
     def __init__(self, part: "MapGrid | bytes", missing: "tuple[MissingShare, ...]") -> None:
         shares = ", ".join(str(each.share) for each in missing)
         super().__init__(
-            f"share {shares} of the map is missing: ask again in a few seconds, or take what is there "
-            "(partial=True)"
+            f"share {shares} of the map is missing: ask again in a few seconds, or take what is there, "
+            "by complete=0, or get_map(partial=True)"
         )
         self.map = part
         self.missing = missing

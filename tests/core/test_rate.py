@@ -363,5 +363,5 @@ def test_bytes_count_all_planes():
 
 
 def test_what_it_does_not_take_is_refused_by_name():
-    with pytest.raises(BadSetting, match=r"^sensor_model: cell model Rate takes beam, not sector$"):
+    with pytest.raises(BadSetting, match=r"^sensor_model: cell model rate takes beam, not sector$"):
         settings_with(sensor_model="sector")

@@ -1,8 +1,10 @@
 """`ogm build --each`: every log as if it were built alone; one without a map keeps no other from its own."""
 
+from pathlib import Path
+
 import pytest
 
-from ogm_core.errors import BadInput
+from ogm_core.errors import BadInput, BadRecording
 from ogm_core.logs.jsonl_writer import write_jsonl
 from ogm_services.commands import build
 from ogm_services.commands.build_each import LogsFailed, folders_of, run_each
@@ -51,6 +53,17 @@ def test_logs_that_give_no_map_are_told_of_and_the_others_are_mapped(tmp_path, s
     assert errors[1].startswith(f"ogm: {lost}: no scan changed the map")
     with pytest.raises(BadInput, match=r"^1 of 2 logs gave no map"):
         run_each([empty, logs[1]], tmp_path / "each", settings)
+
+
+def test_paths_are_told_of_as_they_were_given(tmp_path, monkeypatch, settings, capsys):
+    write_three_logs(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    logs = [Path(f"{name}.jsonl") for name in ("monday", "tuesday")]
+    run_each(logs, Path("maps"), settings, workers=2)
+    said = capsys.readouterr().out.splitlines()
+    assert [line.partition(": ")[0] for line in said] == ["maps/monday", "maps/tuesday"]
+    with pytest.raises(BadRecording, match=r"^nothere\.jsonl: cannot be read"):
+        build.run_build([logs[0], Path("nothere.jsonl")], Path("week"), settings, workers=2)
 
 
 def test_folders_are_named_after_logs_and_two_logs_have_two(tmp_path, settings):

@@ -274,7 +274,7 @@ def one_line(result, code):
         ),
         ("forget", "ROBOT"),
         ("forget a/b --url http://127.0.0.1:9", "robot 'a/b': a name is 1 to 64"),
-        ("mapper --separate-robots", "mapper.separate_robots: the cells of cell model LogOdds do not add up"),
+        ("mapper --separate-robots", "separate_robots: the cells of cell model log_odds do not add up"),
         (
             "mapper --separate-robots --cell-model rate --half-life 60",
             "mapper.separate_robots: with map.half_life cells forget whose beams they have counted",

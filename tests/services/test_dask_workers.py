@@ -88,6 +88,9 @@ def test_an_address_where_nobody_is_and_a_scheduler_without_workers_are_refused(
         DaskWorkers("tcp://127.0.0.1:9")
     with pytest.raises(BadInput, match=r"^--dask nonsense://x: no scheduler answers there: "):
         DaskWorkers("nonsense://x")
+    monkeypatch.setattr(distributed, "Client", None)  # which, once made, takes a minute to be let go of
+    with pytest.raises(BadInput, match=r"^--dask host: no scheduler answers there: missing port number "):
+        DaskWorkers("host")
     monkeypatch.undo()
     idle = distributed.LocalCluster(n_workers=0, dashboard_address=":0", host="127.0.0.1")
     with idle, pytest.raises(BadInput, match=r"the scheduler has no worker: start some, then build$"):

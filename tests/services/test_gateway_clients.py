@@ -1,16 +1,19 @@
 """A gateway as a service over fake shares, as the client library and viewers find it."""
 
 import json
+import sys
 import time
 
 import msgpack
 import numpy as np
 import pytest
+from PIL import Image
 from websockets.sync.client import connect
 
 from fleet_desk import npz
 from ogm_client import MapClient, MapperError, PartialMap, RobotPublisher
 from ogm_core.files.map_files import encode_npz
+from ogm_services.commands.get import fetch
 
 FAN = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 9.0, "sensor": "laser"}
 
@@ -42,7 +45,7 @@ def test_the_client_library_and_queries_over_zenoh_find_one_mapper(fleet, eventu
 
 
 @pytest.mark.parametrize("over", ["http", "zenoh"])
-def test_the_client_library_raises_what_is_there_of_a_partial_map(fleet, over):
+def test_the_client_library_raises_what_is_there_of_a_partial_map(fleet, over, tmp_path):
     fleet.integrate(6)
     _, http = fleet.gateway()
     whole = npz(http.get("/map.npz").content)["log_odds"]
@@ -64,6 +67,12 @@ def test_the_client_library_raises_what_is_there_of_a_partial_map(fleet, over):
         with pytest.raises(PartialMap) as raised:
             client.fetch("map.png")
         assert raised.value.map == client.fetch("map.png", complete=0)
+        with pytest.raises(PartialMap, match="by complete=0"):
+            fetch(client, "map.yaml", tmp_path / "part.yaml", sys.stdout.buffer)
+        assert not list(tmp_path.iterdir())
+        fetch(client, "map.yaml?complete=0", tmp_path / "part.yaml", sys.stdout.buffer)
+        with Image.open(tmp_path / "part.pgm") as picture:
+            assert picture.size == (part.width, part.height)
         for refused in (
             lambda: client.fetch("map.png", complete=1),
             lambda: client.fetch("map.pgm"),

@@ -96,7 +96,7 @@ class FakeClient:
         self.asked.append((name, parameters))
         return json.dumps(STATUS).encode() if name == "status" else b"\x89PNG"
 
-    def get_map(self, region=None, *, at=None):
+    def get_map(self, region=None, *, at=None, partial=False):
         self.asked.append(("map", region) if at is None else ("map", region, at))
         return FakeGrid(region)
 
@@ -250,6 +250,7 @@ def test_get_map_yaml_brings_its_picture_from_the_same_map(ogm, mapper, tmp_path
         ("map.yaml", "/nowhere/a.yaml", "/nowhere/a.yaml: cannot be written"),
         ("map.yaml", "-", "-o FILE.yaml"),
         ("map.yaml?palette=ros", "a.yaml", "not palette"),
+        ("map.yaml?complete=2", "a.yaml", "complete: 0 or 1 is needed, got '2'"),
         ("map.yaml?region=1,2", "a.yaml", "region: four numbers"),
         ("map.png?palette", "a.png", "KEY=VALUE"),
         ("map.png?max_size=1&max_size=2", "a.png", "once"),

@@ -523,7 +523,7 @@ def test_a_model_that_counts_takes_nothing_of_log_odds(load, name):
 def test_a_model_that_counts_is_chosen_by_name(load):
     settings = load(flags={"map": {"cell_model": "rate", "sensor_model": "beam", "reach": "20"}})
     assert settings.grid_settings().cell_model == Rate()
-    with pytest.raises(BadSetting, match="sensor_model: cell model Rate takes beam, not sector"):
+    with pytest.raises(BadSetting, match="sensor_model: cell model rate takes beam, not sector"):
         load(flags={"map": {"cell_model": "rate", "sensor_model": "sector"}})
     with pytest.raises(BadSetting, match=r"resolution: 0\.002 m or more is needed"):
         load(flags={"map": {"cell_model": "rate", "resolution": "0.001"}})

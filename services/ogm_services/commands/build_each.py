@@ -51,10 +51,12 @@ def run_each(
     """
     check_once(logs)
     check_place(out)
-    absolute = [log.absolute() for log in logs]
+    folders = folders_of(logs, out)
+    if dask is not None:  # whose workers may be in other folders
+        logs, folders = ([path.absolute() for path in paths] for paths in (logs, folders))
     tasks = [
         Task("build_log", (log, folder, settings, read_as, held, world), str(log), __name__)
-        for log, folder in zip(logs if dask is None else absolute, folders_of(logs, out), strict=True)
+        for log, folder in zip(logs, folders, strict=True)
     ]
     others = workers_of(workers, dask)
     if others is None:
@@ -92,7 +94,7 @@ def folders_of(logs: Sequence[Path], out: Path) -> list[Path]:
                 f"--each: {logs[stems.index(stem)]} and {logs[number]} would both be written into "
                 f"{out / stem}: rename one of them, or map them one by one"
             )
-    return [(out / stem).absolute() for stem in stems]
+    return [out / stem for stem in stems]
 
 
 def _tell(built: Built) -> Built:

@@ -60,7 +60,7 @@ def fetch(
     elif out != STDOUT and name != "map.yaml":
         check_suffix(out, Path(own).suffix)
     if name == "map.yaml":
-        return _fetch_ros_map(client, _region(parameters), parameters.get("at"), out)
+        return _fetch_ros_map(client, parameters, out)
     with asking():
         content = client.fetch(name, **parameters)
     with written(out, "-o"):
@@ -72,12 +72,13 @@ def fetch(
     return (out,)
 
 
-def _fetch_ros_map(client: MapClient, region: Region | None, at: str | None, out: Path) -> tuple[Path, ...]:
+def _fetch_ros_map(client: MapClient, parameters: Mapping[str, str], out: Path) -> tuple[Path, ...]:
+    region, partial = _region(parameters), _partial(parameters)
     if out == STDOUT:
         raise BadInput("map.yaml comes with its map.pgm, two files: give -o FILE.yaml")
     names = ros_map_names(out)
     with asking():
-        grid = client.get_map(region, at=at)
+        grid = client.get_map(region, at=parameters.get("at"), partial=partial)
     with written(out, "-o"):
         grid.save_ros_map(out)
     return names
@@ -96,12 +97,22 @@ def _parameters(query: str) -> dict[str, str]:
 
 
 def _region(parameters: Mapping[str, str]) -> Region | None:
-    unknown = sorted(parameters.keys() - {"region", "at"})
+    unknown = sorted(parameters.keys() - {"region", "at", "complete"})
     if unknown:
-        raise BadParameter(f"map.yaml takes the parameters region and at only, not {', '.join(unknown)}")
+        raise BadParameter(
+            f"map.yaml takes the parameters region, at and complete only, not {', '.join(unknown)}"
+        )
     if "region" not in parameters:
         return None
     try:
         return parse_region(parameters["region"])
     except ValueError as error:
         raise BadParameter(f"region: {error}") from None
+
+
+def _partial(parameters: Mapping[str, str]) -> bool:
+    """Whether a map of which shares are missing will do, too."""
+    complete = parameters.get("complete", "1")
+    if complete not in {"0", "1"}:
+        raise BadParameter(f"complete: 0 or 1 is needed, got {cut(complete)!r}")
+    return complete == "0"

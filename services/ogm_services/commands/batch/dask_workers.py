@@ -23,6 +23,8 @@ CONNECTED_WITHIN = 30
 class DaskWorkers(Workers):
     """The workers that a scheduler has when the build begins."""
 
+    elsewhere = True
+
     def __init__(self, address: str) -> None:
         """Connect to the scheduler.
 
@@ -32,9 +34,12 @@ class DaskWorkers(Workers):
         """
         try:
             from distributed import Client
+            from distributed.comm.addressing import parse_address, parse_host_port
         except ImportError as error:
             raise MissingExtra("--dask needs distributed: pip install 'zenoh-ogm[dask]'") from error
         try:
+            # Before a client is made: one that was given no port takes a minute to be let go of.
+            parse_host_port(parse_address(address)[1])
             self._client = Client(address, timeout=CONNECTED_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise BadInput(f"--dask {address}: no scheduler answers there: {error}") from error

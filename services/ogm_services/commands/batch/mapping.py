@@ -98,9 +98,10 @@ def _placed(
     files: ScanFiles,
 ) -> tuple[list[_Taken], CellRect | None]:
     """The logs with the scans that the map will take, and the cells that it will know, None if none."""
+    found = [log.absolute() for log in logs] if workers.elsewhere else logs
     tasks = [
-        Task("place_log", (files.folder, number, log.absolute(), settings, read_as, held), str(log))
-        for number, log in enumerate(logs)
+        Task("place_log", (files.folder, number, log, settings, read_as, held), str(log))
+        for number, log in enumerate(found)
     ]
     placed: list[LogPlaced] = workers.run("placing logs", tasks)
     grid_settings, known, taken = settings.grid_settings(), None, []

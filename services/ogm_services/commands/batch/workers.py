@@ -38,6 +38,8 @@ class Workers(AbstractContextManager["Workers"], Protocol):
 
     count: int
     """How many tasks are run at the same time."""
+    elsewhere: bool = False
+    """Whether a relative path may mean another file to them."""
 
     def run(self, text: str, tasks: Sequence[Task]) -> list[Any]:
         """Run tasks in any order, and return what each gave, in theirs; `text` names them all.
