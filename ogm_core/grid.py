@@ -1,42 +1,21 @@
 """Occupancy grid mapping with known poses: scans and sensor poses in, snapshots out."""
 
-from collections.abc import Callable, Iterable
-from functools import partial
-
-import numpy as np
-
-from ogm_core.cells.arrays import CellArrays
-from ogm_core.cells.compiled import compiled
 from ogm_core.cells.forgetting import MapTime
-from ogm_core.cells.model import CellModel, Planes
-from ogm_core.errors import SMALLER_MAP, BadParameter, LimitReached, MapEmpty, OutsideBounds
+from ogm_core.errors import SMALLER_MAP, LimitReached
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, may_be_refused, observe
 from ogm_core.sensor_models.one_call import OneCall
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.shares import in_reach
-from ogm_core.snapshot import MapSnapshot
+from ogm_core.tiled_map import TiledMap
 from ogm_core.tiles.aging import Aging
-from ogm_core.tiles.checkpoint import NOBODY, Checkpoint, KeptCells, KeptTile, MapState
-from ogm_core.tiles.copies import (
-    CopyAhead,
-    TileCopies,
-    Tiles,
-    aged_tiles,
-    copy_tiles,
-    room_for,
-    uncopied_tiles,
-)
-from ogm_core.tiles.erasing import erase, written_rect
-from ogm_core.tiles.extent import NO_CELLS, Extent
-from ogm_core.tiles.polygon import Polygon
+from ogm_core.tiles.checkpoint import NOBODY
 from ogm_core.tiles.store import TileStore
-from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 
-class OccupancyGrid:
+class OccupancyGrid(TiledMap):
     """A map built up by `integrate`, unbounded or bounded. One thread writes; readers get snapshots.
 
     Equal scans and poses in equal order give equal cells.
@@ -47,82 +26,12 @@ class OccupancyGrid:
 
         `run` is the id of the process that writes it: another one may reach the same revision by other scans.
         """
-        self.settings = settings
-        self.run = run
-        self.model: CellModel = compiled(settings.cell_model)
+        super().__init__(settings, epoch, run)
         self.max_bytes = settings.max_bytes
         """What the map may hold from now on; less than it holds: it gets no new tiles."""
-        self.lattice, self.bounds = settings.lattice, settings.clipped_bounds
-        """Its lattice, and the cells that it keeps if it is bounded."""
         self._one_call = OneCall.into(settings, self.model)
-        self.time: MapTime
-        """How far its time has come, and its ticks: of a map with a half-life."""
-        self._aging: Aging | None
-        self._store: TileStore
-        self._copies: TileCopies | None = None
-        self.kept_bytes = 0
-        """What copies for a checkpoint hold that none of what is served shares."""
         self.threads: UpdateThreads | None = None
         """What updates the cells of large scans, if not this thread alone; who gives it closes it."""
-        self.reset(epoch)
-
-    def reset(self, epoch: str) -> None:
-        """Forget every cell and begin again at revision 0 under a new `epoch`."""
-        self.epoch = epoch
-        self.revision = 0
-        self.stamp: int | None = None
-        self.cell_updates = 0
-        self.erasures = 0
-        self._begin_time(MapTime())
-        self._extent = self._unknown()
-        self._begin_store(self._reserving(self.bounds or NO_CELLS))
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that the map has allocated."""
-        return self._store.nbytes
-
-    @property
-    def rect(self) -> CellRect:
-        """What is served: the bounds, or else the smallest rectangle that holds every known cell.
-
-        It holds every cell that was written, with as many more on every side as its model may know of: also
-        beyond a clip, where cells of another map are known by this one's.
-        """
-        return self._extent.served(self.model.spread)
-
-    def begin_with(self, planes: Planes, offset: tuple[int, int] = (0, 0)) -> None:
-        """Fill an empty map: its model's planes, [iy, ix]; the first cell is `offset` of the lattice.
-
-        The revision stays 0: it counts scans. A map with a clip takes what lies in it.
-
-        Raises:
-            LimitReached: they are more than the map may hold; no cell has changed.
-            OutsideBounds: they are not all within the map's bounds; no cell has changed.
-        """
-        written = CellArrays(planes, {plane.name: plane.side for plane in self.model.planes}).any_written()
-        height, width = written.shape
-        rect = CellRect(*offset, width, height)
-        extent = self._unknown()
-        if extent.counted(rect) != rect:
-            raise OutsideBounds(f"{width} x {height} cells from {offset} on are not all within the bounds")
-        if rect.cells > self.settings.max_cells:
-            raise LimitReached(
-                f"{width} x {height} cells are more than max_cells = {self.settings.max_cells}"
-            )
-        store = self._reserving(self.bounds or extent.kept(rect))
-        store.write(rect, planes)
-        if store.nbytes > self.settings.max_bytes:
-            raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
-        rows = np.flatnonzero(written.any(axis=1)).tolist()
-        columns = np.flatnonzero(written.any(axis=0)).tolist()
-        if rows:
-            size = columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1
-            extent.stretched = CellRect(offset[0] + columns[0], offset[1] + rows[0], *size)
-            kept = extent.kept(extent.stretched)
-            extent.know(kept if kept.cells else None)
-        self._extent = extent
-        self._begin_store(store)
 
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None, robot: str = NOBODY) -> int:
         """Add a scan taken at the sensor's `pose` in the map frame; return the number of cell updates.
@@ -232,146 +141,3 @@ class OccupancyGrid:
 
     def _window(self, evidence: Evidence, store: TileStore) -> CellRect:
         return evidence.window(store, self.bounds or store.rect)
-
-    def erase(self, area: Polygon) -> int:
-        """Make the cells unknown whose centre lies in `area`; return how many were known.
-
-        What lies outside the map is left out. The revision grows by one; stamp and number of updates stay.
-        Whether an area is refused is decided without the clip.
-
-        Raises:
-            BadParameter: no cell of the map may lie in it; nothing has changed.
-            MapEmpty: the map has no known cell, nor bounds; nothing has changed.
-        """
-        if not area.rect.cells:
-            raise BadParameter("no cell's centre lies in what is to be erased: it is too small")
-        whole = self._extent.whole(self.model.spread)
-        if not whole.cells:
-            raise MapEmpty("the map has no known cell: there is nothing to erase")
-        if not whole.intersection(area.rect).cells:
-            wanted, here = (self.lattice.region_of(rect).span for rect in (area.rect, whole))
-            raise BadParameter(f"what is to be erased, {wanted}, lies wholly outside the map, {here}")
-        part = self.rect.intersection(area.rect)
-        erased = erase(self._store, area, part, self.revision + 1, self._aging)
-        if erased:
-            self._extent.know(written_rect(self._store, self._aging))
-        self.revision += 1
-        self.erasures += 1
-        return erased
-
-    def room_for_snapshot(self) -> Callable[[], Tiles]:
-        """What makes memory ready for the next snapshot: call it while another thread goes on writing."""
-        return partial(room_for, self._store, self._copies, self._aging)
-
-    def snapshot(self, room: Tiles | None = None) -> MapSnapshot:
-        """A copy of what is served, with the identity of its revision.
-
-        Only tiles that were written since the last snapshot are copied, into `room` if it is large enough.
-        """
-        self._copies = copy_tiles(self._store, self.revision, self._copies, room, self._aging)
-        return MapSnapshot(
-            stored=TileView(self._copies, self.rect, self.model.planes),
-            model=self.model,
-            lattice=self.lattice,
-            offset=(self.rect.ix, self.rect.iy),
-            epoch=self.epoch,
-            run=self.run,
-            revision=self.revision,
-            stamp=self.stamp,
-            erasures=self.erasures,
-            half_life=self.settings.half_life,
-        )
-
-    def copy_ahead(self) -> CopyAhead:
-        """What copies the tiles written since the last copy while another thread goes on writing.
-
-        `take_ahead` takes what it has made; the next copy then copies no more than was written meanwhile.
-        """
-        return CopyAhead(self._store, self.revision, self._copies, self._aging)
-
-    @property
-    def aged_bytes(self) -> int:
-        """How much the next snapshot has to copy because it has missed ticks."""
-        aging = self._aging
-        return 0 if aging is None else aged_tiles(self._store, self._copies, aging) * self._store.tile_bytes
-
-    def aged_copy_ahead(self, *, afresh: bool) -> CopyAhead:
-        """As `copy_ahead`, for a snapshot after a tick: what has missed it is copied too.
-
-        With `afresh` the copy of before is let go first: the two together may be too much.
-        """
-        if afresh:
-            self._copies = None
-        return CopyAhead(self._store, self.revision, self._copies, self._aging, keeping_old=False)
-
-    def copies_ahead(self) -> list[CopyAhead]:
-        """The same for all that a checkpoint copies."""
-        return [self.copy_ahead()]
-
-    def take_ahead(self, ahead: CopyAhead, made: TileCopies) -> None:
-        """Take what `ahead` has made, unless cells have moved meanwhile or another copy was made."""
-        if ahead.store is self._store and ahead.before is self._copies:
-            self._copies = made
-
-    @property
-    def uncopied_bytes(self) -> int:
-        """How much the next copy has to copy."""
-        return uncopied_tiles(self._store, self._copies) * self._store.tile_bytes
-
-    def room_for_checkpoint(self) -> Callable[[], Tiles]:
-        """What makes memory ready for the next checkpoint: call it while another thread goes on writing."""
-        return partial(room_for, self._store, self._copies, giving_up=False, keeping_old=True)
-
-    def checkpoint(self, room: Tiles | None = None) -> Checkpoint:
-        """The map as it is now, for a store.
-
-        Only tiles that were written since the last copy are copied, into `room` if it is large enough.
-        """
-        self._copies = copy_tiles(
-            *(self._store, self.revision, self._copies, room, self._aging), giving_up=False, keeping_old=True
-        )
-        return Checkpoint(self._state(), (KeptCells(self._copies, self._store.touched.copy()),))
-
-    def _state(self) -> MapState:
-        extent = self._extent
-        return MapState(
-            *(self.epoch, self.revision, self.stamp, self.cell_updates, extent.known, self._store.rect),
-            *(self.erasures, self.time, None if extent.clip is None else extent.stretched),
-        )
-
-    def restore(self, state: MapState, tiles: Iterable[KeptTile]) -> None:
-        """Become the map of which a checkpoint had this state and these tiles, under the same settings.
-
-        Raises:
-            LimitReached: it is more than the map may hold.
-        """
-        store = self._reserving(state.room)
-        store.put(tiles)
-        if store.nbytes > self.settings.max_bytes:
-            raise LimitReached(f"{store.nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")
-        self.epoch, self.revision, self.stamp, self.cell_updates, known = state[:5]
-        self.erasures = state.erasures
-        self._extent = self._unknown()
-        self._extent.stretched = state.stretched
-        self._extent.know(known)
-        self._begin_time(state.time)
-        self._begin_store(store)
-
-    def _unknown(self) -> Extent:
-        """The extent of this map while nothing is known."""
-        clip = self.settings.clip
-        return Extent(self.settings.bounds_rect, None if clip is None else clip.rect)
-
-    def _reserving(self, rect: CellRect) -> TileStore:
-        """An empty store over `rect`, which lies in the clip, as all that grow from it will."""
-        clip = self.settings.clip
-        return TileStore(rect, self.model.planes, None if clip is None else clip.rect)
-
-    def _begin_time(self, time: MapTime) -> None:
-        self.time = time
-        self._aging = Aging.by(time.ticks, self.model)
-
-    def _begin_store(self, store: TileStore) -> None:
-        """Take cells that have nothing to do with those of earlier snapshots."""
-        self._store = store
-        self._copies = None

@@ -133,6 +133,15 @@ class GridSettings:
                 "max_cells",
             )
 
+    def check_bytes(self, nbytes: int) -> None:
+        """Refuse a map that would begin with so many bytes.
+
+        Raises:
+            LimitReached: they are more than `max_bytes`.
+        """
+        if nbytes > self.max_bytes:
+            raise LimitReached(f"{nbytes} bytes are more than max_bytes = {self.max_bytes}")
+
     @cached_property
     def distances(self) -> tuple[float, float, float]:
         """`alpha`, `clear_range` and `reach`, m; infinite where there is no such limit."""

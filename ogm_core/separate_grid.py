@@ -17,7 +17,7 @@ from itertools import groupby
 import numpy as np
 
 from ogm_core.cells.model import Planes
-from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom, UnknownRobot, cut
+from ogm_core.errors import SMALLER_MAP, NoRoom, UnknownRobot, cut
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
@@ -117,7 +117,7 @@ class SeparateGrid(OccupancyGrid):
         """Fill an empty map with what no robot has seen; see `OccupancyGrid.begin_with`."""
         nobody = RobotPlanes(self.settings, 0)
         nobody.begin_with(planes, offset)
-        self._check_bytes(2 * nobody.nbytes)
+        self.settings.check_bytes(2 * nobody.nbytes)
         super().begin_with(planes, offset)
         self._robots[NOBODY] = nobody
 
@@ -224,12 +224,12 @@ class SeparateGrid(OccupancyGrid):
             if robot not in of:
                 raise IndexError(f"robot {cut(robot)!r}")
             of[robot].store.put(its_tiles)
-            self._check_bytes(self.nbytes)
+            self.settings.check_bytes(self.nbytes)
         written = [written_tiles(store) for store in self._stores]
         places = np.unique(np.concatenate((*written, np.empty((0, 2), np.int64))), axis=0)
         revisions = np.array([revisions_at(store, places) for store in self._stores])
         mark(self._store, places, revisions.max(axis=0, initial=0))
-        self._check_bytes(self.nbytes)
+        self.settings.check_bytes(self.nbytes)
         sum_tiles(self._store, places, self._stores, self.model.add)
 
     @property
@@ -241,7 +241,3 @@ class SeparateGrid(OccupancyGrid):
         known = [planes.known for planes in self._robots.values()]
         some = [rect for rect in known if rect is not None]
         self._extent.know(reduce(CellRect.union, some) if some else None)
-
-    def _check_bytes(self, nbytes: int) -> None:
-        if nbytes > self.settings.max_bytes:
-            raise LimitReached(f"{nbytes} bytes are more than max_bytes = {self.settings.max_bytes}")

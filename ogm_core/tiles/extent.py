@@ -44,6 +44,12 @@ class Extent:
         """These cells, which lie in the clip, are written."""
         self.know(kept if self.known is None else self.known.union(kept))
 
+    def begin(self, written: CellRect) -> None:
+        """A map begins with these cells, wherever they lie."""
+        self.stretched = written
+        kept = self.kept(written)
+        self.know(kept if kept.cells else None)
+
     def know(self, known: CellRect | None) -> None:
         """These cells are known from now on, as far as they lie in the clip."""
         self.known = known
