@@ -11,6 +11,7 @@ from ogm_client import MapClient
 from ogm_client.map_copy import MapCopy, Taken
 from ogm_core.wire.map_update import decode_updates
 from ogm_services.mapper.serving import update_publisher
+from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 
 PATIENCE = 30.0
 
@@ -167,3 +168,37 @@ def test_what_has_no_memory_is_told_later(mapper, listener, monkeypatch):
     mapper.settle(received=4)
     monkeypatch.undo()
     listener.until(is_at(4))
+
+
+class Clock:
+    """A clock on which nothing passes but what is said, and an event that notes how long it is waited for."""
+
+    def __init__(self, takes):
+        self._takes = takes
+        self._now = 100.0
+        self.pauses = []
+
+    def monotonic(self):
+        return self._now
+
+    def wait(self, seconds):
+        self.pauses.append(seconds)
+        return len(self.pauses) > len(self._takes)
+
+    def work(self, _):
+        self._now += self._takes[len(self.pauses) - 1]
+
+
+class Publisher:
+    def undeclare(self):
+        pass
+
+
+def test_messages_begin_a_period_after_each_other_unless_they_take_long(monkeypatch):
+    clock = Clock(takes=[0.0, 0.02, 0.05, 0.2, 0.01])
+    publisher = UpdatePublisher(None, None)
+    monkeypatch.setattr(update_publisher, "time", clock)
+    monkeypatch.setattr(publisher, "_stopping", clock)
+    monkeypatch.setattr(publisher, "_look", clock.work)
+    publisher._run(Publisher())
+    assert clock.pauses == pytest.approx([0.1, 0.1, 0.08, 0.05, 0.05, 0.09])
