@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import pytest
 
@@ -160,3 +161,25 @@ def test_what_is_small_keeps_two_digits(lab, look):
         " return [area(0), area(0.0025), area(0.96), area(12.34), metresBy(0.05, 20)]; }"
     )
     assert said == ["0.0 m²", "0.0025 m²", "0.96 m²", "12.3 m²", "0.05 × 20.0 m"]
+
+
+def test_a_part_that_goes_and_comes_changes_no_rate_of_scans(lab, look, eventually):
+    """A gateway's counts lack those of a share that is missing."""
+    watched = look(lab)
+    status = lab.get("status").json()
+    missing = [{"share": 3, "bounds": [None, None, 0.0, None], "since": None}]
+    told = {**status, "scans": {**status["scans"], "integrated": 5000}, "missing": []}
+    watched.page.route("**/status", lambda route: route.fulfill(json=told))
+    watched.open()
+    now = watched.page.locator("#now")
+    eventually(lambda: "0.0 scans/s" in now.inner_text())
+    for integrated, parts in ((3000, missing), (5000, [])):
+        told |= {"scans": {**status["scans"], "integrated": integrated}, "missing": parts}
+        rates = []
+
+        def steady(rates=rates, parts=parts):
+            rates.extend(re.findall(r"(-?[\d.]+) scans/s", now.inner_text()))
+            return len(rates) > 10 and watched.page.locator("#parts").is_visible() == bool(parts)
+
+        eventually(steady)
+        assert set(rates) == {"0.0"}

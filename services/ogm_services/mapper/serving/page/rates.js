@@ -3,13 +3,13 @@ const SPAN_S = 5;  // of the counts that are compared
 const KEPT = 16;  // looks
 
 export class Rates {
-  #run = null;
+  #whose = null;
   #looks = [];  // [{time, counts}], oldest first
 
-  // Take the counts of one more status, flat by name, at a time in s.
-  look(run, time, counts) {
-    if (run !== this.#run) this.#looks = [];  // another process, which counts from 0
-    this.#run = run;
+  // Take the counts of one more status, flat by name, at a time in s; `whose` names the processes that have counted.
+  look(whose, time, counts) {
+    if (whose !== this.#whose) this.#looks = [];  // others, which count from 0
+    this.#whose = whose;
     this.#looks.push({time, counts});
     while (this.#looks.length > 2 && (time - this.#looks[1].time >= SPAN_S || this.#looks.length > KEPT)) {
       this.#looks.shift();

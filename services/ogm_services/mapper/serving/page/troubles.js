@@ -47,6 +47,9 @@ export function rateOf(name) {
   return all.length && all.every((rate) => rate !== null) ? all.reduce((sum, rate) => sum + rate, 0) : null;
 }
 
+// Whose counts they are: those of a part that is missing are not among a gateway's.
+const counted = ({run, missing = []}) => [run, ...missing.map(({share}) => share)].join(" ");
+
 export function startTroubles() {
-  subscribe("status", (status) => rates.look(status.run, performance.now() / 1000, counts(status)));
+  subscribe("status", (status) => rates.look(counted(status), performance.now() / 1000, counts(status)));
 }
