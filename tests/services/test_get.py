@@ -53,7 +53,7 @@ STATUS = {
                     "dropped": {"superseded": 1, "stale": 1},
                     "hints": ["range_max"],
                 },
-                "front": {"run": "a", "last_seq": None, "received": 40, "pending": 2, "integrated": 33},
+                "front": {"run": "a", "last_seq": None, "received": 35, "pending": 2, "integrated": 33},
             },
         },
         "r2": {"pose": None, "stamp": None, "alive": True, "age_s": None, "sources": {}},
@@ -299,7 +299,7 @@ def test_status_as_a_table(ogm, mapper):
     assert " ".join(rows["r1"]) == "yes 0.2 s ago 1.00 -2.50 3.14"
     assert rows["r2"] == ["yes"]
     assert "r3" not in rows, "gone for more than a minute"
-    assert rows["r1/front"] == ["40", "33", "2", "5"]
+    assert rows["r1/front"] == ["35", "33", "2", "0"]
     of_back = [line[1:] for line in lines if line and line[0] == "r1/back"]
     assert of_back[0] == ["10", "8", "0", "2", "9"]
     assert [" ".join(line[:2]) for line in of_back[1:]] == ["1 superseded", "1 stale", "hint: range_max"]
