@@ -4,9 +4,11 @@ A scan's latency is the time from its put to the answer of a get of `status` who
 revision n is the nth scan put. Three processes share the machine: four robots (see benchmarks.robots), the
 mapper, and this one, which asks again and again over Zenoh, with pauses of half a millisecond. The
 readers, if any, are a fourth. Every question costs the mapper time; that is part of what is measured.
+A follower is told ten times a second: its latency is until its copy of the map has the scan.
 """
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 
@@ -30,6 +32,7 @@ BOUNDS = "--bounds=-100,-100,100,100"
 """A map of 4000 x 4000 cells."""
 ALONE_TARGETS = {50: 3.0, 99: 15.0}
 READ_TARGETS = {99: 60.0}
+TOLD_TARGETS = {99: 130.0}
 """Percentiles, ms at most."""
 
 
@@ -41,6 +44,7 @@ def run(quick: bool) -> list[Result]:
         map_scans(running, work.scans)
         alone, _ = followed(running, work, seconds, 0)
         read, rate = followed(running, work, seconds, READERS)
+        told = told_of(running, work, seconds)
     group = f"latency of {ROBOTS} robots x {RATE:g} scans a second"
     beside = f"{group} for {seconds:g} s; {READERS} clients ({name()}) read the whole 4000 x 4000 picture"
     pictures = Result(beside, "pictures a second", rate, "/s")
@@ -48,6 +52,7 @@ def run(quick: bool) -> list[Result]:
         *as_results(f"{group} for {seconds:g} s", alone, ALONE_TARGETS),
         *as_results(beside, read, READ_TARGETS),
         pictures,
+        *as_results(f"{group} for {seconds:g} s, to a follower", told, TOLD_TARGETS),
     ]
 
 
@@ -83,13 +88,28 @@ def followed(
         if readers:
             reading = opening.enter_context(clients(f"{running.url}map.png", readers, seconds))
         robots.send("go")
-        put, seen, revisions = follow(client, robots, before)
+        put, seen, revisions = follow(lambda: client.status().revision, robots, before)
         robots.send("go home")
         return latencies(put, seen, revisions - before), rate_of(reading, seconds) if reading else 0.0
 
 
+def told_of(running: RunningMapper, work: Workload, seconds: float) -> NDArray[np.float64]:
+    """The latency of every scan, ms, to a `MapFollower` in this process: until its copy of the map has it."""
+    drive = Drive(running.endpoint, [placed.scan for placed in work.scans], seconds)
+    with (
+        MapClient(running.endpoint) as client,
+        client.follow() as follower,
+        driving(drive) as robots,
+    ):
+        before = follower.version.revision
+        robots.send("go")
+        put, seen, revisions = follow(lambda: follower.version.revision, robots, before)
+        robots.send("go home")
+        return latencies(put, seen, revisions - before)
+
+
 def follow(
-    client: MapClient, robots: Connection, before: int
+    revision_now: Callable[[], int], robots: Connection, before: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Ask for the revision, from `before` on, until all that was put is in the map, or SETTLED has passed.
 
@@ -98,7 +118,7 @@ def follow(
     put: NDArray[np.int64] | None = None
     seen, revisions, deadline = [time.monotonic_ns()], [before], np.inf
     while time.monotonic() < deadline and (put is None or revisions[-1] < before + put.size):
-        revision = client.status().revision
+        revision = revision_now()
         now = time.monotonic_ns()
         if revision != revisions[-1]:
             seen.append(now)
