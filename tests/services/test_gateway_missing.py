@@ -1,10 +1,15 @@
 """A gateway as a service over fake shares: what it answers while some are missing, or of another map."""
 
 import time
+from contextlib import closing
 
 import numpy as np
 
+from cut_link import CutLink
 from fleet_desk import Fleet, npz
+from ogm_client.session import NetworkConfig, open_session
+from ogm_core.files.map_files import encode_npz
+from ogm_core.wire.map_update import encode_update
 from shares_desk import FakeShare, ServedShare, scan_at
 
 
@@ -93,6 +98,29 @@ def test_a_share_that_keeps_silent_holds_nobody_up_for_longer_than_the_timeout(f
     assert answer.headers["OGM-Missing"].startswith("2;")
     fleet.shares[2].silent = False
     assert "OGM-Missing" not in http.get("/map.npz").headers
+
+
+def test_a_share_whose_link_breaks_in_the_middle_of_its_reply_is_missing_as_a_whole(fleet):
+    fleet.integrate(30)
+    share = fleet.shares[1].share
+    fleet.shares[1].close()
+    few = 4_000
+    assert sum(map(len, map(encode_update, share.updates()))) > 2 * few
+    link = CutLink(fleet.endpoint, few)
+    with closing(link), open_session(NetworkConfig(connect=(link.endpoint,))) as session:
+        fleet.shares[1] = ServedShare(session, share)
+        link.armed.set()
+        _, http = fleet.gateway()
+        part = http.get("/map.npz")
+        assert link.cut.is_set()
+        link.close()  # a session that waits for an answer there takes long to close
+    assert fleet.shares[1].asked == [None], "it was asked for all of its cells"
+    assert part.headers["OGM-Missing"].startswith("1;")
+    arrays = npz(part.content)
+    iy, ix = np.nonzero(~np.isnan(arrays["log_odds"])) + np.array(arrays["offset"][::-1])[:, None]
+    assert not ((ix >= 0) & (iy < 0)).any(), "nothing of it is shown"
+    fleet.shares[1] = ServedShare(fleet.join(), share)
+    assert http.get("/map.npz").content == encode_npz(fleet.one.snapshot())
 
 
 def test_a_reset_of_which_a_share_has_not_heard_is_not_done(fleet):
