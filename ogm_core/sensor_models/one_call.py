@@ -71,12 +71,7 @@ class OneCall:
         return cls(settings, *model.by_cell)
 
     def integrate(
-        self,
-        placed: PlacedScan,
-        extent: Extent,
-        store: TileStore,
-        max_bytes: int,
-        revision: int,
+        self, placed: PlacedScan, extent: Extent, store: TileStore, max_bytes: int, revision: int
     ) -> int | None:
         """Do what `observe` and the model's `update` do; return the number of cell updates.
 

@@ -230,14 +230,16 @@ def test_the_command_says_who_is_left_and_what_is_refused(start, tmp_path):
         result = ogm("a", "--url", str(mapper.http.base_url))
         assert (result.exit_code, "token" in result.stderr) == (1, True)
         result = ogm("b.1", *over_http)
-        assert (result.exit_code, result.stdout) == (0, "b.1 is left out of the map; in it are a, c\n")
+        assert (result.exit_code, result.stdout) == (0, "b.1 is left out of the map; still in it: a, c\n")
+        shown = CliRunner().invoke(app, ["status", "--url", str(mapper.http.base_url)], prog_name="ogm")
+        assert "robots in it a, c" in " ".join(shown.stdout.split())
         result = ogm("a", "--json", *over_zenoh)
         assert (result.exit_code, json.loads(result.stdout)) == (0, {"robots": ["c"]})
         result = ogm("a", *over_zenoh)
         assert result.exit_code == 1
         assert "robot a: it is not in the map; there are: c" in result.stderr
         assert len(result.stderr.splitlines()) == 1
-        assert ogm("c", *over_zenoh).stdout == "c is left out of the map; in it are none\n"
+        assert ogm("c", *over_zenoh).stdout == "c is left out of the map; still in it: nobody\n"
         foreign = httpx.delete(
             f"{mapper.http.base_url}/robots/a",
             headers={"Authorization": f"Bearer {TOKEN}", "Sec-Fetch-Site": "cross-site"},

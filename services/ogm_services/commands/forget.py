@@ -26,4 +26,4 @@ def forget(network: ClientFlags, asked: WriteFlags, robot: RobotName) -> None:
     if asked.as_json:
         typer.echo(json.dumps({"robots": left}))
     else:
-        typer.echo(f"{robot} is left out of the map; in it are {', '.join(left) or 'none'}")
+        typer.echo(f"{robot} is left out of the map; still in it: {', '.join(left) or 'nobody'}")

@@ -51,6 +51,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "ignored": status.other.ignored,
         "size": f"{info.width} x {info.height} cells of {info.resolution:g} m",
         "known": f"{info.known_cells} cells",
+        "robots in it": "" if info.robots is None else ", ".join(info.robots) or "none",
         "threads": status.threads if status.threads > 1 else "",
         "memory": f"{info.bytes / 1e6:.1f} MB",
         "stored": "" if status.store is None else _stored(status.store),
