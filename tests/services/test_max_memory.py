@@ -16,7 +16,7 @@ from ogm_core.sensor_models.scan_size import ScanSize
 from ogm_core.separate_grid import SeparateGrid
 from ogm_core.types import Pose, Scan
 from ogm_core.units import MEBIBYTE
-from ogm_services.mapper.live import live_map
+from ogm_services.mapper.live import map_memory
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
@@ -98,7 +98,7 @@ def test_robots_that_are_kept_apart_count_with_their_sum_and_with_copies_for_the
 
 
 def test_what_others_hold_stops_only_what_needs_new_tiles(monkeypatch):
-    monkeypatch.setattr(live_map, "LOOK_PERIOD", 0.0)
+    monkeypatch.setattr(map_memory, "LOOK_PERIOD", 0.0)
     memory, others = MemoryUse(64 * MEBIBYTE), [0]
     memory.add("queue", lambda: others[0])
     live = LiveMap(OccupancyGrid(SETTINGS, "e"), memory)

@@ -148,6 +148,29 @@ class LiveFigures:
             cached.lock.release()
 
 
+class MapWithFigures:
+    """A map that is told of by its figures. Any thread."""
+
+    def __init__(self, figures: LiveFigures) -> None:
+        self._figures = figures
+
+    def count_known(self) -> None:
+        """See `LiveFigures.count_known`."""
+        self._figures.count_known()
+
+    def quality(self, world: World | None = None) -> dict[str, Any]:
+        """See `LiveFigures.quality`."""
+        return self._figures.quality(world)
+
+    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
+        """See `LiveFigures.fresh_quality`."""
+        return self._figures.fresh_quality(world, within)
+
+    def stop(self) -> None:
+        """Nobody waits any more for the figures that are being computed: they may take minutes."""
+        self._figures.stop()
+
+
 class _Figure:
     """A value, the map and the world that it is of, and when it was computed."""
 

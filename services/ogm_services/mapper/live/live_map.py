@@ -1,17 +1,14 @@
 """Live map, the map while it is written: one writer, and any number of readers with copies."""
 
-import math
 import threading
-import time
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
-from ogm_core.errors import SMALLER_MAP, LimitReached, NoRoom
+from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect, Region
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.separate_grid import SeparateGrid
-from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
 from ogm_core.tiles.checkpoint import NOBODY, Checkpoint
@@ -21,13 +18,11 @@ from ogm_core.tiles.view import TileView
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 from ogm_core.units import MEBIBYTE
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_figures import Judged, LiveFigures
+from ogm_services.mapper.live.live_figures import Judged, LiveFigures, MapWithFigures
+from ogm_services.mapper.live.map_memory import MapMemory
 from ogm_services.mapper.live.recent_scans import RECENT_BYTES, RecentScans
 from ogm_services.runtime.memory import MemoryUse
 
-LOOK_PERIOD = 0.05
-"""How old a figure of the memory that is left may be, s, while much is."""
-_GOOD_PART = 8
 _MUCH = 4 * MEBIBYTE
 """More than this the writer does not wait for after a tick, bytes: some milliseconds."""
 
@@ -50,7 +45,7 @@ class Ahead(NamedTuple):
     scans: int
 
 
-class LiveMap:
+class LiveMap(MapWithFigures):
     """An `OccupancyGrid` with one writer and many readers.
 
     Who owns what: only the worker thread calls `integrate`, `reset`, `become`, `erase` and `forget`, and
@@ -71,6 +66,7 @@ class LiveMap:
         self._grid = grid
         self._threads = grid.threads = threads
         self._memory = memory
+        self._map_memory = None if memory is None else MapMemory(memory, self._copies_bytes)
         self._recent = RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
         self._writing = threading.Lock()
         self._reading = threading.Lock()
@@ -78,9 +74,7 @@ class LiveMap:
         self._view: TileView | None = None
         self._copied = 0
         self._state = self._told()
-        self._looked = -math.inf, 0
-        """When it was added up what the map may hold, s, and what that is, bytes."""
-        self._figures = LiveFigures(lambda: self.now, lambda: self.snapshot().known_cells, self._to_judge)
+        super().__init__(LiveFigures(lambda: self.now, lambda: self.snapshot().known_cells, self._to_judge))
         if memory is not None:
             memory.add("map", lambda: self._state.nbytes)
             memory.add("copies", self._copies_bytes)
@@ -89,8 +83,9 @@ class LiveMap:
     def integrate(self, scan: Scan, pose: Pose, sweep: Sweep | None = None, robot: str = NOBODY) -> int:
         """Writer: add a scan taken at its sensor's pose; see `OccupancyGrid.integrate`."""
         with self._writing:
-            if self._memory is not None:
-                self._grid.max_bytes = min(self._grid.settings.max_bytes, self._allowed(self._memory))
+            if self._map_memory is not None:
+                allowed = self._map_memory.allowed(self._state.nbytes)
+                self._grid.max_bytes = min(self._grid.settings.max_bytes, allowed)
             try:
                 updates = self._grid.integrate(scan, pose, sweep, robot)
             except NoRoom as refusal:
@@ -236,22 +231,6 @@ class LiveMap:
             robots=None if state.robots is None else list(state.robots),
         )
 
-    def count_known(self) -> None:
-        """See `LiveFigures.count_known`."""
-        self._figures.count_known()
-
-    def quality(self, world: World | None = None) -> dict[str, Any]:
-        """See `LiveFigures.quality`."""
-        return self._figures.quality(world)
-
-    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
-        """See `LiveFigures.fresh_quality`."""
-        return self._figures.fresh_quality(world, within)
-
-    def stop(self) -> None:
-        """Nobody waits any more for the figures that are being computed: they may take minutes."""
-        self._figures.stop()
-
     def _to_judge(self) -> Judged:
         with self._reading:
             room = self._room()
@@ -260,30 +239,11 @@ class LiveMap:
                 updates = self._grid.cell_updates
                 return Judged(snapshot.finest(), self._grid.settings, list(self._recent), updates)
 
-    def _allowed(self, memory: MemoryUse) -> int:
-        """Bytes that the map may hold now, beside all else and the copy of it that readers get.
-
-        While a good part of all memory is left to it, this is added up a few times a second only.
-        """
-        looked, allowed = self._looked
-        now = time.monotonic()
-        if now - looked > LOOK_PERIOD or allowed - self._state.nbytes < memory.limit // _GOOD_PART:
-            copies = self._copies_bytes()
-            left = memory.left() + self._state.nbytes + copies
-            # A new copy takes up to a quarter more than its tiles.
-            allowed = min(left - copies, left * 4 // 9)
-            self._looked = now, allowed
-        return allowed
-
     def _reason_of(self, refusal: NoRoom) -> LimitReached:
         """A refusal that names the limit which was reached."""
-        if self._memory is None or self._grid.max_bytes >= self._grid.settings.max_bytes:
+        if self._map_memory is None or self._grid.max_bytes >= self._grid.settings.max_bytes:
             return refusal
-        return LimitReached(
-            f"it needs new tiles, and of mapper.max_memory, {self._memory.limit} bytes, too little is left "
-            f"({self._memory.in_words()}; readers need a copy of the map): raise it, {SMALLER_MAP}",
-            "max_memory",
-        )
+        return self._map_memory.refusal()
 
     def _copies_bytes(self) -> int:
         view = self._view

@@ -4,18 +4,16 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 from ogm_core.lattice import Region
-from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
 from ogm_services.mapper.live.identity import Identity
-from ogm_services.mapper.live.live_figures import Judged, LiveFigures
+from ogm_services.mapper.live.live_figures import Judged, LiveFigures, MapWithFigures
 from ogm_services.mapper.shares.gathered_map import Gathered, GatheredMap
 
 
-class GatheredView:
+class GatheredView(MapWithFigures):
     """A gathered map as it is named, by `now`, and copied, by `made`. Any thread."""
 
     def __init__(
@@ -32,7 +30,7 @@ class GatheredView:
         self._making = threading.Lock()
         self._copy: tuple[Gathered, MapSnapshot] | None = None
         """The newest snapshot, and of what; `_making` guards it."""
-        self._figures = LiveFigures(lambda: self.now, lambda: self.snapshot().known_cells, self._to_judge)
+        super().__init__(LiveFigures(lambda: self.now, lambda: self.snapshot().known_cells, self._to_judge))
 
     @property
     def now(self) -> Identity:
@@ -81,22 +79,6 @@ class GatheredView:
             height=extent.height,
             resolution=self._gathered.settings.resolution,
         )
-
-    def count_known(self) -> None:
-        """See `LiveFigures.count_known`."""
-        self._figures.count_known()
-
-    def quality(self, world: World | None = None) -> dict[str, Any]:
-        """See `LiveFigures.quality`."""
-        return self._figures.quality(world)
-
-    def fresh_quality(self, world: World | None = None, within: float = math.inf) -> dict[str, Any]:
-        """See `LiveFigures.fresh_quality`."""
-        return self._figures.fresh_quality(world, within)
-
-    def stop(self) -> None:
-        """See `LiveFigures.stop`."""
-        self._figures.stop()
 
     def _to_judge(self) -> Judged:
         return Judged(self.snapshot().finest(), self._gathered.settings, [], 0)
