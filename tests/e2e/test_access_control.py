@@ -514,6 +514,9 @@ def test_shares_and_a_gateway_work_together_and_nobody_else_asks_or_answers_for_
         assert client.get_map().known.any()
         assert len(held) == 18
         assert asked == []
+        client.close()
+        ended = running.stop()
+    assert (ended.code, "the gateway has stopped" in ended.err) == (0, True)
 
 
 def test_a_router_with_the_same_rules_stands_between(site, ogm, eventually):

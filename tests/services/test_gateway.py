@@ -131,7 +131,10 @@ def test_what_a_gateway_cannot_do_it_says(fleet):
     for asked in ("POST /erase?region=0,0,1,1", "POST /save?name=x", "DELETE /snapshots/x"):
         answer = http.request(*asked.split())
         assert (answer.status_code, answer.json()["type"]) == (501, "not-by-gateway"), asked
-    assert http.get("/snapshots").json()["type"] == "not-stored"
+    for asked in ("/snapshots", "/map.png?at=x"):
+        answer = http.get(asked)
+        assert (answer.status_code, answer.json()["type"]) == (501, "not-by-gateway"), asked
+    assert http.get("/login").json()["writes"] == ["reset"], "its page offers nothing else"
 
 
 def test_the_figures_of_a_gateway_are_those_of_the_whole_map(fleet):

@@ -75,7 +75,6 @@ def run_gateway(settings: Settings) -> None:
                 manager.stopping("the gateway stops")
     except NotStopped as stuck:
         _end_as_it_is(stuck)
-    log.info("the gateway has stopped")
 
 
 def _not_stopped(held_by: str) -> NotStopped:
@@ -122,6 +121,7 @@ class GatewayService:
         held_by = Closing(self._open.close).held_after(STOP_TIME)
         if held_by is not None:
             raise _not_stopped(held_by)
+        log.info("the gateway has stopped")
 
     def wait(self, alive: Callable[[], None] = lambda: None) -> None:
         """Sleep until KeyboardInterrupt; `alive` is told that all is well.

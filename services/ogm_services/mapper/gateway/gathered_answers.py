@@ -15,11 +15,12 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, map_format
 from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, COMPLETE, COMPLETE_FIRST, region_of
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
+from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.shares.gathered_map import GatheredMap
 from ogm_services.mapper.shares.gathered_views import GatheredView
 from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.share_parts import MissingShare
-from ogm_services.replies.answer import Answer, Parameters, PartOfMap
+from ogm_services.replies.answer import Answer, AskShares, Parameters, PartOfMap
 from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
 
@@ -64,6 +65,20 @@ class GatheredAnswers(Answers):
     def at_once(self) -> bool:
         """Not: whether the map is still the same its shares are to be asked."""
         return False
+
+    @property
+    def erases(self) -> bool:
+        """Not by a gateway."""
+        return False
+
+    @property
+    def saved(self) -> SavedMaps:
+        """None.
+
+        Raises:
+            AskShares: as a gateway saves none.
+        """
+        raise AskShares("a gateway saves no maps, and restores none: its shares store theirs")
 
     def check_ready(self) -> None:
         """Refuse while the gateway starts; else bring the map up to date."""

@@ -155,6 +155,11 @@ class Answers:
         """Whether `now` is the map that a question gets, so that what was sent once may be sent again."""
         return True
 
+    @property
+    def erases(self) -> bool:
+        """Whether areas of the map can be erased."""
+        return True
+
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes."""
         return MAP_FORMATS[form].parameters

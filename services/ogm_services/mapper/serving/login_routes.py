@@ -54,14 +54,16 @@ _LOG_OUT = Operation(*("log_out", "login", "Make that cookie void"), model=Login
 
 
 def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> None:
-    """Add them; `answers` know whether maps can be saved, and robots left out."""
+    """Add them; `answers` know whether maps can be saved, areas erased, and robots left out."""
 
     def state(scope: Scope, *, logged_in: bool) -> Response:
         may_write = logged_in or access.problem(scope) is None
         writes: list[Write] = [
             name
             for name in get_args(Write)
-            if (answers.saves or name not in OF_STORES) and (answers.keeps_robots or name != "forget")
+            if (answers.saves or name not in OF_STORES)
+            and (answers.keeps_robots or name != "forget")
+            and (answers.erases or name != "erase")
         ]
         told = LoginState(access.token_needed, logged_in, may_write, writes)
         return Response(orjson.dumps(asdict(told)), media_type="application/json")
