@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from ogm_client.plot import ROBOTS
 from ogm_core.errors import printable
@@ -33,7 +34,7 @@ def draw_reliability(found: Mapping[str, Sequence[Reliability]]) -> Figure:
         ticks = np.linspace(0.0, 1.0, 6).tolist()
         curves.set(xlim=(0, 1), ylim=(0, 1), xticks=ticks, yticks=ticks, ylabel="beams that end in the cell")
         visits.set(xlim=(0, 1), yscale="log", xticks=ticks, xlabel="p(occupied) of the cell", ylabel="visits")
-        visits.yaxis.set_major_formatter(lambda count, _: f"{count:g}")
+        visits.yaxis.set_major_formatter(EngFormatter(sep=""))  # 1M: as long as there is room for
         curves.legend(loc="upper left", borderaxespad=0.8)
     return figure
 
