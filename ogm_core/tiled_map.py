@@ -248,7 +248,7 @@ class TiledMap:
 
 
 def _rect_of(cells: NDArray[np.bool_], offset: tuple[int, int]) -> CellRect | None:
-    """The smallest rectangle that holds every cell that is True; None if none is. [iy, ix], from `offset` on."""
+    """The smallest rectangle of every cell that is True; None if none is. [iy, ix], from `offset` on."""
     rows, columns = (np.flatnonzero(cells.any(axis=axis)).tolist() for axis in (1, 0))
     if not rows:
         return None

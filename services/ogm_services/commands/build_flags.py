@@ -17,7 +17,8 @@ from ogm_services.runtime.loading import loading
 from ogm_services.runtime.log_lines import log_nothing
 from ogm_services.runtime.signals import running_service
 from ogm_services.settings.flag_groups import with_flag_groups
-from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, ThreadFlags, settings_from
+from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, settings_from
+from ogm_services.settings.keeping_flags import ThreadFlags
 from ogm_services.settings.robot_flags import SensorFlags
 
 

@@ -6,7 +6,6 @@ from ogm_services.runtime.logged_service import logged_service
 from ogm_services.settings.flag_groups import with_flag_groups
 from ogm_services.settings.flags import (
     ConfigFile,
-    GatewayFlags,
     HttpFlags,
     LoggingFlags,
     MapFlags,
@@ -14,6 +13,7 @@ from ogm_services.settings.flags import (
     PrintConfig,
     settings_from,
 )
+from ogm_services.settings.keeping_flags import GatewayFlags
 from ogm_services.settings.robot_flags import SensorFlags
 
 

@@ -17,12 +17,11 @@ from ogm_services.settings.flags import (
     HttpFlags,
     LoggingFlags,
     MapFlags,
-    MapperFlags,
     NetworkFlags,
     PrintConfig,
-    SharesFlags,
     settings_from,
 )
+from ogm_services.settings.keeping_flags import MapperFlags, SharesFlags
 from ogm_services.settings.robot_flags import RadiusFlags, SensorFlags, check_radii
 
 MapperOut = Annotated[

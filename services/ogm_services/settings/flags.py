@@ -30,7 +30,7 @@ PANELS = {
 }
 
 
-def _setting(section: str, key: str, metavar: str | None, text: str) -> Any:  # noqa: ANN401 (typer's own type)
+def setting(section: str, key: str, metavar: str | None, text: str) -> Any:  # noqa: ANN401 (typer's own type)
     """Option of a setting: its flag, its help with the default, its panel of the help page."""
     default = SECTIONS[section].model_fields[key].default
     shown = "none" if default in (None, ()) else default
@@ -51,7 +51,7 @@ def _choices(kind: Any) -> str:  # noqa: ANN401 (any Literal)
 
 
 @dataclass(frozen=True)
-class _SettingFlags:
+class SettingFlags:
     """A group whose fields are the keys of one section of the settings."""
 
     section: ClassVar[str]
@@ -66,82 +66,82 @@ class _SettingFlags:
 
 
 @dataclass(frozen=True)
-class MapFlags(_SettingFlags):
+class MapFlags(SettingFlags):
     """Map flags of demo, mapper and build."""
 
     section = "map"
 
     preset: Annotated[
-        str | None, _setting("map", "preset", _choices(Preset), "Replace all map defaults by a preset's")
+        str | None, setting("map", "preset", _choices(Preset), "Replace all map defaults by a preset's")
     ] = None
-    resolution: Annotated[str | None, _setting("map", "resolution", "METRES", "Size of a cell")] = None
+    resolution: Annotated[str | None, setting("map", "resolution", "METRES", "Size of a cell")] = None
     sensor_model: Annotated[
-        str | None, _setting("map", "sensor_model", _choices(SensorModel), "How a scan is read")
+        str | None, setting("map", "sensor_model", _choices(SensorModel), "How a scan is read")
     ] = None
     model: Annotated[str | None, typer.Option("--model", hidden=True)] = None
     """What `sensor_model` was called at first."""
     cell_model: Annotated[
-        str | None, _setting("map", "cell_model", _choices(CellModelName), "What a cell keeps")
+        str | None, setting("map", "cell_model", _choices(CellModelName), "What a cell keeps")
     ] = None
     traversal: Annotated[
         str | None,
-        _setting("map", "traversal", _choices(Traversal), "How a beam is traced through the cells"),
+        setting("map", "traversal", _choices(Traversal), "How a beam is traced through the cells"),
     ] = None
-    p_occ: Annotated[str | None, _setting("map", "p_occ", "P", "Probability that a hit stands for")] = None
+    p_occ: Annotated[str | None, setting("map", "p_occ", "P", "Probability that a hit stands for")] = None
     p_free: Annotated[
-        str | None, _setting("map", "p_free", "P", "Probability that a passing beam stands for")
+        str | None, setting("map", "p_free", "P", "Probability that a passing beam stands for")
     ] = None
     p_prior: Annotated[
-        str | None, _setting("map", "p_prior", "P", "Probability of a cell before any beam")
+        str | None, setting("map", "p_prior", "P", "Probability of a cell before any beam")
     ] = None
     alpha: Annotated[
         str | None,
-        _setting(
+        setting(
             "map", "alpha", "METRES", "Obstacle thickness, 3 to 6 standard deviations of the range noise"
         ),
     ] = None
-    l_min: Annotated[str | None, _setting("map", "l_min", "LOGODDS", "Lower clamp of the log odds")] = None
-    l_max: Annotated[str | None, _setting("map", "l_max", "LOGODDS", "Upper clamp of the log odds")] = None
+    l_min: Annotated[str | None, setting("map", "l_min", "LOGODDS", "Lower clamp of the log odds")] = None
+    l_max: Annotated[str | None, setting("map", "l_max", "LOGODDS", "Upper clamp of the log odds")] = None
     reach: Annotated[
-        str | None, _setting("map", "reach", "METRES", "No beam writes farther from the sensor than this")
+        str | None, setting("map", "reach", "METRES", "No beam writes farther from the sensor than this")
     ] = None
     clear_range: Annotated[
         str | None,
-        _setting("map", "clear_range", "METRES", "A beam without return clears no farther than this"),
+        setting("map", "clear_range", "METRES", "A beam without return clears no farther than this"),
     ] = None
     cells: Annotated[
-        str | None, _setting("map", "cells", _choices(CellType), "How a cell's log odds are stored")
+        str | None, setting("map", "cells", _choices(CellType), "How a cell's log odds are stored")
     ] = None
     bounds: Annotated[
         str | None,
-        _setting("map", "bounds", "XMIN,YMIN,XMAX,YMAX", "Limit the map to this rectangle, in metres"),
+        setting("map", "bounds", "XMIN,YMIN,XMAX,YMAX", "Limit the map to this rectangle, in metres"),
     ] = None
     outside: Annotated[
         str | None,
-        _setting(
+        setting(
             "map", "outside", _choices(Outside), "With bounds: cut off a beam that leaves them, or ignore it"
         ),
     ] = None
     half_life: Annotated[
         str | None,
-        _setting("map", "half_life", "SECONDS", "Let the map forget: half of what a cell knows in this time"),
+        setting("map", "half_life", "SECONDS", "Let the map forget: half of what a cell knows in this time"),
     ] = None
     free_below: Annotated[
         str | None,
-        _setting("map", "free_below", "P", "Call cells free below this probability: .05 for cautious robots"),
+        setting("map", "free_below", "P", "Call cells free below this probability: .05 for cautious robots"),
     ] = None
 
 
 @dataclass(frozen=True)
-class NetworkFlags(_SettingFlags):
+class NetworkFlags(SettingFlags):
     """Network flags of every service."""
 
     section = "network"
 
-    map_name: Annotated[str | None, _setting("network", "map_name", "NAME", "Name of the map")] = None
+    map_name: Annotated[str | None, setting("network", "map_name", "NAME", "Name of the map")] = None
     listen: Annotated[
         str | None,
-        _setting(
+        setting(
             "network",
             "listen",
             "ENDPOINTS",
@@ -151,7 +151,7 @@ class NetworkFlags(_SettingFlags):
     ] = None
     connect: Annotated[
         str | None,
-        _setting(
+        setting(
             "network",
             "connect",
             "ENDPOINTS",
@@ -159,40 +159,38 @@ class NetworkFlags(_SettingFlags):
         ),
     ] = None
     zenoh_config: Annotated[
-        str | None, _setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
+        str | None, setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
     ] = None
 
 
 @dataclass(frozen=True)
-class ClientFlags(_SettingFlags):
+class ClientFlags(SettingFlags):
     """Network flags of who only asks a mapper, and gives its address as --url."""
 
     section = "network"
 
     map_name: Annotated[
         str | None,
-        _setting(
-            "network", "map_name", "NAME", "Name of the map; without it, over HTTP, whichever is served"
-        ),
+        setting("network", "map_name", "NAME", "Name of the map; without it, over HTTP, whichever is served"),
     ] = None
     zenoh_config: Annotated[
-        str | None, _setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
+        str | None, setting("network", "zenoh_config", "FILE.json5", "Zenoh configuration file")
     ] = None
 
 
 @dataclass(frozen=True)
-class HttpFlags(_SettingFlags):
+class HttpFlags(SettingFlags):
     """HTTP flags of the mapper."""
 
     section = "http"
 
-    host: Annotated[str | None, _setting("http", "host", "ADDRESS", "Address to serve HTTP on")] = None
+    host: Annotated[str | None, setting("http", "host", "ADDRESS", "Address to serve HTTP on")] = None
     port: Annotated[
-        str | None, _setting("http", "port", "PORT", "Port to serve HTTP on, 0 for any free one")
+        str | None, setting("http", "port", "PORT", "Port to serve HTTP on, 0 for any free one")
     ] = None
     hosts: Annotated[
         str | None,
-        _setting(
+        setting(
             "http",
             "hosts",
             "NAMES",
@@ -201,100 +199,26 @@ class HttpFlags(_SettingFlags):
     ] = None
     root_path: Annotated[
         str | None,
-        _setting("http", "root_path", "PATH", "Path that a reverse proxy serves all of it under"),
+        setting("http", "root_path", "PATH", "Path that a reverse proxy serves all of it under"),
     ] = None
     token_file: Annotated[
         str | None,
-        _setting("http", "token_file", "FILE", "File with the bearer token that guards writes over HTTP"),
-    ] = None
-
-
-Threads = Annotated[
-    str | None,
-    _setting("mapper", "threads", "N", "Threads that update cells, of large scans; auto: all cores but one"),
-]
-
-
-@dataclass(frozen=True)
-class ThreadFlags(_SettingFlags):
-    """Flags of who makes a map without a network."""
-
-    section = "mapper"
-
-    threads: Threads = None
-
-
-@dataclass(frozen=True)
-class MapperFlags(_SettingFlags):
-    """Flags of the mapper alone."""
-
-    section = "mapper"
-
-    threads: Threads = None
-
-    data: Annotated[
-        str | None,
-        _setting("mapper", "data", "DIR", "Store the map in this folder, and go on with the one in it"),
-    ] = None
-    start_map: Annotated[
-        str | None,
-        _setting("mapper", "start_map", "FILE", "Start with this ROS map (YAML) or map.npz, on its lattice"),
-    ] = None
-    start_confidence: Annotated[
-        str | None,
-        _setting("mapper", "start_confidence", "P", "Probability that the start map is right about a cell"),
-    ] = None
-    separate_robots: Annotated[
-        bool,
-        _setting(
-            *("mapper", "separate_robots", None),
-            "Keep what each robot has seen apart, so that ogm forget can leave it out (cell model rate)",
-        ),
-    ] = False
-
-
-@dataclass(frozen=True)
-class SharesFlags(_SettingFlags):
-    """Which part of a map that is cut a mapper has."""
-
-    section = "shares"
-
-    index: Annotated[
-        str | None, _setting("shares", "index", "K", "Keep share K of a map that is cut, and answer as it")
-    ] = None
-    cuts_x: Annotated[
-        str | None, _setting("shares", "cuts_x", "METRES", "Cut the map at these x, separated by commas")
-    ] = None
-    cuts_y: Annotated[str | None, _setting("shares", "cuts_y", "METRES", "Cut it at these y")] = None
-
-
-@dataclass(frozen=True)
-class GatewayFlags(_SettingFlags):
-    """How the map is cut that a gateway gathers."""
-
-    section = "shares"
-
-    cuts_x: Annotated[
-        str | None, _setting("shares", "cuts_x", "METRES", "Where the map is cut, as its mappers are told: x")
-    ] = None
-    cuts_y: Annotated[str | None, _setting("shares", "cuts_y", "METRES", "The same: y")] = None
-    gather_timeout: Annotated[
-        str | None, _setting("shares", "gather_timeout", "SECONDS", "How long a share may take to answer")
+        setting("http", "token_file", "FILE", "File with the bearer token that guards writes over HTTP"),
     ] = None
 
 
 @dataclass(frozen=True)
-class LoggingFlags(_SettingFlags):
+class LoggingFlags(SettingFlags):
     """Flags of what a service logs."""
 
     section = "log"
 
     level: Annotated[
-        str | None, _setting("log", "level", _choices(LogLevel), "What is logged, from this level on")
+        str | None, setting("log", "level", _choices(LogLevel), "What is logged, from this level on")
     ] = None
     format: Annotated[
         str | None,
-        _setting("log", "format", _choices(LogFormat), "Lines of text, or a JSON object on each"),
+        setting("log", "format", _choices(LogFormat), "Lines of text, or a JSON object on each"),
     ] = None
 
 
@@ -323,7 +247,7 @@ PrintConfig = Annotated[
 
 def settings_from(
     config: Path | None,
-    *groups: _SettingFlags,
+    *groups: SettingFlags,
     sensors: list[str] | None = None,
     robots: list[str] | None = None,
     print_config: bool = False,
