@@ -2,19 +2,17 @@
 
 import dataclasses
 import importlib.metadata
-import ipaddress
 import logging
 import math
-import os
 import socket
 import sys
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import Self
 
 import typer
 import zenoh
@@ -36,7 +34,7 @@ from ogm_services.mapper.serving.share_part import SharePart
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder
-from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped
+from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped, end_as_it_is
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.kernel_cache import begins_empty, lasts
@@ -98,38 +96,27 @@ def run_mapper(settings: Settings, out: Path | None) -> None:
             finally:
                 manager.stopping("the map is finished and stored")
     except NotStopped as stuck:
-        _end_as_it_is(stuck, last_map, service)
+        end_as_it_is(stuck, lambda: _sum_up(service, last_map, "the mapper ends"))
     finally:
         if service.was_ready:
-            log.info("the mapper has stopped: %s", service.totals())
-            last_map.write_figures(service.answers, service.time_to_stop)
+            _sum_up(service, last_map, "the mapper has stopped")
+
+
+def _sum_up(service: "MapperService", last_map: LastMap, what: str) -> None:
+    """Say how it went, and write the figures of the map, which is written."""
+    log.info("%s: %s", what, service.totals())
+    last_map.write_figures(service.answers, service.time_to_stop)
 
 
 def _end_start(service: "MapperService | None", held_by: str) -> None:
     """End the process in which a start does not; there is no map yet, unless it stops in order already."""
     if service is not None and service.stopping:
         return
-    try:
-        typer.echo(f"ogm: {_not_stopped(held_by)}", err=True)
-    finally:
-        os._exit(1)
+    end_as_it_is(_not_stopped(held_by))
 
 
 def _not_stopped(held_by: str) -> NotStopped:
     return NotStopped.within(STOP_TIME, "mapper", held_by)
-
-
-def _end_as_it_is(stuck: NotStopped, last_map: LastMap, service: "MapperService") -> NoReturn:
-    """End the process in which something does not stop; its map is written."""
-    try:
-        for error in (stuck.__context__, stuck):
-            if isinstance(error, OgmError):
-                typer.echo(f"ogm: {error}", err=True)
-        log.info("the mapper ends: %s", service.totals())
-        last_map.write_figures(service.answers, service.time_to_stop)
-    finally:
-        sys.stdout.flush()
-        os._exit(1)  # whatever else waits at the end of a process waits for all threads
 
 
 class MapperService:
@@ -167,11 +154,11 @@ class MapperService:
         # The map is on the disk first, whatever else does not end.
         self._stop_until = time.monotonic() + STOP_TIME
         self.parts.stop_mapping(WORKER_TIME)
-        closing = Closing(self._open.close)
+        closes = Closing(self._open.close)
         try:
             self._last_map.write_map(self.live_map, working=self.working)
         finally:
-            held_by = closing.held_after(self.time_to_stop)
+            held_by = closes.held_after(self.time_to_stop)
             if held_by is not None:
                 raise _not_stopped(held_by)
 
@@ -227,17 +214,17 @@ class MapperService:
         keys = MapKeys(network.map_name)
         rest = RestOfWarmUp(self.parts.grid_settings)
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
-        share = self.parts.share
+        share, limits = self.parts.share, self.parts.limits
         others = OtherMappers(session, keys, self.parts.run, share=None if share is None else share.index)
         self.parts.reasons.append(lambda: "; ".join(others.reasons()) or None)
         opening.callback(others.close)  # last of all: until then no other mapper starts
-        self._http_threads = _answering_threads(opening, self.parts.limits.http_questions)
-        zenoh_threads = _answering_threads(opening, self.parts.limits.zenoh_questions)
+        self._http_threads = opening.enter_context(closing(AnsweringThreads(limits.http_questions)))
+        zenoh_threads = opening.enter_context(closing(AnsweringThreads(limits.zenoh_questions)))
         routes = ZenohRoutes(session, keys, self.parts.in_flight)
         opening.callback(routes.close)
         subscriber = ZenohSubscriber(
             *(session, keys, self.parts.queue, self.parts.receipts, self.parts.placer),
-            max_beams=self.parts.limits.beams,
+            max_beams=limits.beams,
             overload=self.parts.overload,
             in_step=self.parts.in_step,
         )
@@ -283,14 +270,7 @@ class MapperService:
         self.parts.monitor.start(routes.ask_truth)
 
     def _note_addresses(self, listener: socket.socket, config: NetworkConfig) -> None:
-        """Put down where it is asked, for who started it; warn if just anybody may empty the map there."""
-        host, port = listener.getsockname()[:2]
-        writes = self.parts.share is None
-        if writes and self._access.token is None and not ipaddress.ip_address(host).is_loopback:
-            log.warning(
-                "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file",
-                host,
-            )
+        """Put down where it is asked, for who started it."""
         zenoh_addresses = ", ".join((*config.listen, *config.connect)) or str(config.config_file)
         share = self.parts.share
         what, part = LIVE_MAP, ""
@@ -298,20 +278,13 @@ class MapperService:
             what, part = "status  ", f", share {share.index} of {share.cuts.count},"
         self.addresses = [
             f"map      {self._settings.network.map_name}{part} on Zenoh at {zenoh_addresses}",
-            f"{what} http://{f'[{host}]' if ':' in host else host}:{port}/",
+            f"{what} {self._access.url(listener, writes=share is None)}",
         ]
 
     def _http(self, opening: ExitStack, listener: socket.socket) -> HttpThread:
         app, limits = http_app(self.parts, self._settings, self._access, self._http_threads, opening)
         self._http_thread = HttpThread(app, listener, limits, self.parts.metrics.measurements.http_closed)
         return self._http_thread
-
-
-def _answering_threads(opening: ExitStack, waiting: int) -> AnsweringThreads:
-    """The threads that answer the questions of one protocol."""
-    threads = AnsweringThreads(waiting)
-    opening.callback(threads.close)
-    return threads
 
 
 def _warm_up(settings: GridSettings, threads: int) -> None:

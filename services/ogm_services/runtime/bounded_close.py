@@ -1,10 +1,13 @@
 """Close of a service in bounded time, or what it waits for."""
 
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Self
+from typing import NoReturn, Self
+
+import typer
 
 from ogm_core.errors import OgmError
 
@@ -52,6 +55,23 @@ class Closing:
             self._close()
         except BaseException as error:  # noqa: BLE001 (raised where it is waited for)
             self._error = error
+
+
+def end_as_it_is(stuck: NotStopped, finish: Callable[[], None] = lambda: None) -> NoReturn:
+    """End the process, in which something does not stop, with 1: say what, and `finish` what can be.
+
+    Whatever else waits at the end of a process waits for all threads.
+    """
+    try:
+        for error in (stuck.__context__, stuck):
+            if isinstance(error, OgmError):
+                typer.echo(f"ogm: {error}", err=True)
+        try:
+            finish()
+        finally:
+            sys.stdout.flush()
+    finally:
+        os._exit(1)
 
 
 def what_holds(thread: threading.Thread) -> str:

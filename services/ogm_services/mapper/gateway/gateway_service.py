@@ -1,17 +1,15 @@
 """The gateway as a running service: started, served, and stopped in order."""
 
 import dataclasses
-import ipaddress
 import logging
-import os
 import socket
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from importlib.metadata import version
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import Self
 
 import typer
 
@@ -26,7 +24,7 @@ from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
 from ogm_services.mapper.serving.other_mappers import host_name
 from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
-from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped
+from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped, end_as_it_is
 from ogm_services.runtime.bounded_start import ended_within
 from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.service_manager import ServiceManager
@@ -64,7 +62,7 @@ def run_gateway(settings: Settings) -> None:
     log.info("zenoh-ogm %s: a gateway starts, with %s", version("zenoh-ogm"), changed)
     try:
         with ExitStack() as running:
-            with ended_within(STOP_TIME, lambda held_by: _end_as_it_is(_not_stopped(held_by))):
+            with ended_within(STOP_TIME, lambda held_by: end_as_it_is(_not_stopped(held_by))):
                 service = running.enter_context(GatewayService(settings))
             for line in service.addresses:
                 typer.echo(line)
@@ -74,22 +72,11 @@ def run_gateway(settings: Settings) -> None:
             finally:
                 manager.stopping("the gateway stops")
     except NotStopped as stuck:
-        _end_as_it_is(stuck)
+        end_as_it_is(stuck)
 
 
 def _not_stopped(held_by: str) -> NotStopped:
     return NotStopped.within(STOP_TIME, "gateway", held_by)
-
-
-def _end_as_it_is(stuck: NotStopped) -> NoReturn:
-    """End the process, in which something does not stop: whatever else waits at its end waits for that."""
-    try:
-        for error in (stuck.__context__, stuck):
-            if isinstance(error, OgmError):
-                typer.echo(f"ogm: {error}", err=True)
-        sys.stdout.flush()
-    finally:
-        os._exit(1)
 
 
 class GatewayService:
@@ -149,8 +136,8 @@ class GatewayService:
         self.parts = parts = GatewayParts(self._settings, session)
         rest = RestOfWarmUp(self._settings.grid_settings())
         opening.callback(rest.stop)
-        http_threads = _threads(opening, parts.limits.http_questions)
-        zenoh_threads = _threads(opening, parts.limits.zenoh_questions)
+        http_threads = opening.enter_context(closing(AnsweringThreads(parts.limits.http_questions)))
+        zenoh_threads = opening.enter_context(closing(AnsweringThreads(parts.limits.zenoh_questions)))
         routes = ZenohRoutes(session, parts.keys, parts.in_flight)
         opening.callback(routes.close)
         opening.enter_context(self._http(opening, listener, http_threads))
@@ -177,26 +164,14 @@ class GatewayService:
         rest.start()
 
     def _note_addresses(self, listener: socket.socket, zenoh_addresses: str) -> None:
-        """Put down where it is asked, for who started it; warn if just anybody may empty the map there."""
-        host, port = listener.getsockname()[:2]
-        if self._access.token is None and not ipaddress.ip_address(host).is_loopback:
-            log.warning(
-                "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file", host
-            )
+        """Put down where it is asked, for who started it."""
         name, count = self._settings.network.map_name, self.parts.gathered.layout.count
         self.addresses = [
             f"gateway  {name} of {count} shares on Zenoh at {zenoh_addresses}",
-            f"live map http://{f'[{host}]' if ':' in host else host}:{port}/",
+            f"live map {self._access.url(listener)}",
         ]
 
     def _http(self, opening: ExitStack, listener: socket.socket, threads: AnsweringThreads) -> HttpThread:
         app = map_app(self.parts, self._settings.http.max_live, self._access, threads, opening)
         self._http_thread = HttpThread(app, listener, MAP_LIMITS, self.parts.metrics.measurements.http_closed)
         return self._http_thread
-
-
-def _threads(opening: ExitStack, waiting: int) -> AnsweringThreads:
-    """The threads that answer the questions of one protocol."""
-    threads = AnsweringThreads(waiting)
-    opening.callback(threads.close)
-    return threads

@@ -1,10 +1,15 @@
 """Access over HTTP: by which names, through whom, and with what the mapper is asked."""
 
+import ipaddress
+import logging
+import socket
 from dataclasses import dataclass, field
 from typing import Self
 
 from ogm_services.mapper.serving.cross_origin import Origins
 from ogm_services.settings.http import HttpSettings
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -36,3 +41,12 @@ class HttpAccess:
             origins=Origins(settings.cors_origins),
             token=settings.write_token(),
         )
+
+    def url(self, listener: socket.socket, *, writes: bool = True) -> str:
+        """Where a server on this socket is asked; warns if just anybody may empty its map, by `writes`."""
+        host, port = listener.getsockname()[:2]
+        if writes and self.token is None and not ipaddress.ip_address(host).is_loopback:
+            log.warning(
+                "HTTP on %s has no token: whoever reaches it may reset the map; set http.token_file", host
+            )
+        return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
