@@ -25,7 +25,8 @@ from ogm_core.cells.updates import ended, passed
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.sensor_models.strip_work import work_of_beams
-from ogm_core.tiles.marks import touch, touch_rows
+from ogm_core.sensor_models.tiles_around import tiles_around
+from ogm_core.tiles.marks import mark, mark_rows, touch, unmarked
 from ogm_core.tiles.store import TILE, TILE_BITS
 
 FRACTION_BITS = 42
@@ -257,7 +258,8 @@ def update_cells(
     cells is a fixed-point number itself, and one addition a cell is enough.
     """
     window, west = CellRect(*window), column[0] & (TILE - 1)
-    updates = fresh = 0
+    tiles = tiles_around(ends, window, west)
+    updates, fresh = 0, unmarked(touched, tiles)
     lines = _fixed_points(ends)
     for b in range(ends.shape[1]):
         if ends[KIND, b] == SKIPPED:
@@ -282,13 +284,13 @@ def update_cells(
                 left = left_in_tile(i + west, si)
                 end = min(k + left, last_free)
                 base = column[np.uint64(i)] + (j0 << TILE_BITS) - si
-                fresh += touch(touched, i + west, j0 + ((acc + gain) >> FRACTION_BITS), revision)
+                mark(touched, i + west, j0 + ((acc + gain) >> FRACTION_BITS), revision)
                 for _ in range(end - k + 1):
                     acc += gain
                     base += si
                     address = np.uint64(base + ((acc >> FRACTION_BITS) << TILE_BITS))
                     cells[address] = passed(cells[address], 1.0, constants)
-                fresh += touch(touched, i + west, j0 + (acc >> FRACTION_BITS), revision)
+                mark(touched, i + west, j0 + (acc >> FRACTION_BITS), revision)
                 k = end + 1
         else:
             origin, turn = signed(bias, step, si)
@@ -299,7 +301,7 @@ def update_cells(
                 i = i0 + s
                 left = left_in_tile(i + west, si)
                 end = min(k + _LONGEST_PIECE, last_in_strip(k, last_free, left, bias, step, FRACTION_BITS))
-                fresh += touch_rows(touched, i + west, j0 + sj * k, j0 + sj * end, revision)
+                mark_rows(touched, i + west, j0 + sj * k, j0 + sj * end, revision)
                 acc = origin + (k - 1) * turn
                 base = column[np.uint64(i)] - s + ((j0 + sj * (k - 1)) << TILE_BITS)
                 for _ in range(end - k + 1):
@@ -310,5 +312,5 @@ def update_cells(
         if hit_inside:
             address = np.uint64(column[np.uint64(i1)] + (j1 << TILE_BITS))
             cells[address] = ended(cells[address], 1.0, constants)
-            fresh += touch(touched, i1 + west, j1, revision)
-    return updates, fresh
+            mark(touched, i1 + west, j1, revision)
+    return updates, fresh - unmarked(touched, tiles)

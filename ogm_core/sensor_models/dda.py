@@ -39,7 +39,8 @@ from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import HIT, IX, IX0, IY, IY0, KIND, SKIPPED, Plain
 from ogm_core.sensor_models.bresenham import counted_from, last_in_strip, left_in_tile, steps_inside
 from ogm_core.sensor_models.strip_work import work_of_beams
-from ogm_core.tiles.marks import touch, touch_rows
+from ogm_core.sensor_models.tiles_around import tiles_around
+from ogm_core.tiles.marks import mark, mark_rows, touch_rows, unmarked
 from ogm_core.tiles.store import TILE, TILE_BITS
 
 CUT = 32
@@ -255,7 +256,8 @@ def update_cells(
     for negative indices.
     """
     window, west = CellRect(*window), column[0] & (TILE - 1)
-    updates = fresh = 0
+    tiles = tiles_around(ends, window, west)
+    updates, fresh = 0, unmarked(touched, tiles)
     for b in range(ends.shape[1]):
         i0, j0, stairs, t, last = _stairs_of(ends, lines, b, window)
         if t > last:
@@ -270,7 +272,7 @@ def update_cells(
         while t <= last_free:
             i, j = _cell_at(i0, j0, stairs, t)
             end = _last_in_strip(i + west, stairs, t, last_free)
-            fresh += touch_rows(touched, i + west, j, _cell_at(i0, j0, stairs, end)[1], revision)
+            mark_rows(touched, i + west, j, _cell_at(i0, j0, stairs, end)[1], revision)
             acc = stairs.first + (t - 1) * step
             base = column[np.uint64(i)] + (j << TILE_BITS) - ((acc + step) >> bits) * climb - ahead
             for _ in range(end - t + 1):
@@ -283,5 +285,5 @@ def update_cells(
             i, j = ends[IX, b] - window.ix, ends[IY, b] - window.iy
             address = np.uint64(column[np.uint64(i)] + (j << TILE_BITS))
             cells[address] = ended(cells[address], 1.0, constants)
-            fresh += touch(touched, i + west, j, revision)
-    return updates, fresh
+            mark(touched, i + west, j, revision)
+    return updates, fresh - unmarked(touched, tiles)
