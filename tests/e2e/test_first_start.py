@@ -19,7 +19,7 @@ from numba import njit
 from ogm_services.cli import main
 from ogm_services.mapper import service
 
-def warm_up(settings):
+def warm_up(settings, threads):
     while True:
         njit(lambda x: x + 1)(1)
         print("compiled", flush=True)
