@@ -136,7 +136,6 @@ class SeparateGrid(OccupancyGrid):
 
     def _add(self, evidence: Evidence, updated: CellRect, aging: Aging | None) -> int:
         updates = super()._add(evidence, updated, aging)  # having made room in both
-        self._writing.threads = self.threads
         # By one thread: what could run out of memory now would leave the two apart.
         self._writing.count(evidence, updated, self.revision)
         return updates

@@ -276,5 +276,5 @@ def test_a_map_begins_with_its_planes():
 
 
 def test_evidence_that_it_does_not_take_is_refused_by_name():
-    with pytest.raises(BadSetting, match=r"^sensor_model: cell model Counts takes beam, not sector$"):
+    with pytest.raises(BadSetting, match=r"^sensor_model: cell model counts takes beam, not sector$"):
         GridSettings(cell_model=Counts(), sensor_model="sector")

@@ -398,7 +398,7 @@ def test_half_lives_that_no_map_can_have_are_refused(half_life):
 
 
 def test_cells_that_do_not_forget_take_no_half_life():
-    with pytest.raises(BadSetting, match=r"half_life: the cells of cell model Counts do not forget: leave"):
+    with pytest.raises(BadSetting, match=r"half_life: the cells of cell model counts do not forget: leave"):
         GridSettings(cell_model=Counts(), half_life=60.0)
     with pytest.raises(NotImplementedError, match="Counts cells do not forget"):
         Counts().decayed({}, 1)

@@ -325,7 +325,7 @@ def test_a_map_to_begin_with_counts_twice_in_the_limit():
     [
         (
             {"cell_model": LogOdds()},
-            r"^mapper\.separate_robots: .* LogOdds do not add up.*map\.cell_model rate",
+            r"^mapper\.separate_robots: .* log_odds do not add up.*map\.cell_model rate",
         ),
         ({"half_life": 60.0}, r"^mapper\.separate_robots: with map\.half_life .* leave out one of the two$"),
         ({"share": Share(Cuts((0.0,)), 0)}, r"^mapper\.separate_robots: a map that is cut does not keep"),
