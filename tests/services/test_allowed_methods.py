@@ -14,7 +14,7 @@ def paths_of(mapper):
     document = mapper.http.get("/openapi.json").json()["paths"]
     found = {path: {method.upper() for method in item} for path, item in document.items()}
     found |= {path: {"GET"} for path in UNDESCRIBED}
-    place = {"z": 16, "x": 0, "y": -1, "name": "of-none"}
+    place = {"z": 16, "x": 0, "y": -1, "name": "of-none", "robot": "nobody"}
     return {
         path.format(**place): methods | {"OPTIONS"} | ({"HEAD"} if "GET" in methods else set())
         for path, methods in found.items()

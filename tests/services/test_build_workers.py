@@ -37,6 +37,8 @@ FLAGS = {
 class InThisProcess:
     """Workers that are none: tasks are run here, the last one first, and twice, as if workers had died."""
 
+    elsewhere = False
+
     def __init__(self, count):
         self.count = count
 
