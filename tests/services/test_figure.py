@@ -297,7 +297,7 @@ def test_matplotlib_is_loaded_for_figures_only_and_without_pyplot():
         "import sys, ogm_services.commands.build, ogm_services.cli\n"
         "assert 'matplotlib' not in sys.modules\n"
         "import ogm_services.results.figure as figure, numpy as np\n"
-        "from ogm_core.grid import MapSnapshot\n"
+        "from ogm_core.snapshot import MapSnapshot\n"
         "from ogm_core.cells.log_odds import LogOdds\n"
         "from ogm_core.cells.arrays import CellArrays\n"
         "from ogm_core.lattice import Lattice\n"

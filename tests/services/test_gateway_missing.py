@@ -61,7 +61,7 @@ def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet):
     assert "OGM-Missing" not in http.get("/map.png").headers
 
 
-def test_who_begins_to_follow_is_refused_while_a_gateway_has_never_heard_of_a_share(fleet):
+def test_who_begins_to_follow_is_refused_while_a_gateway_has_never_heard_of_a_share(fleet, eventually):
     """What is held goes on; of a share of which nothing is held a copy would lack all, and not say so."""
     fleet.integrate(8)
     _, heard = fleet.gateway()
@@ -74,7 +74,7 @@ def test_who_begins_to_follow_is_refused_while_a_gateway_has_never_heard_of_a_sh
     assert answer.json()["detail"].startswith("share 1 of the map does not answer")
     assert heard.get("/map.tiles").content == before
     fleet.shares[1] = ServedShare(fleet.join(), share)
-    assert http.get("/map.tiles").status_code == 200
+    eventually(lambda: http.get("/map.tiles").status_code == 200)
 
 
 def test_no_share_at_all_is_not_ready(endpoint):
