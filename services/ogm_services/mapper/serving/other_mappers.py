@@ -167,6 +167,8 @@ class OtherMappers:
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWERED,
+            # Its own answer would be put in by this thread, within `get`: it waits where the channel is full.
+            allowed_destination=zenoh.Locality.REMOTE,
             cancellation_token=self._asking,
         )
         for reply in islice(replies, MAX_HEARD):
