@@ -6,8 +6,8 @@ share had no time for is its own, and makes its cells lack scans that others hav
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 from ogm_core.placing.receipts import DROP_REASONS
 from ogm_core.status import (
@@ -23,6 +23,7 @@ from ogm_core.status import (
 BY_HOME = frozenset({"limit", "outside", "failed"})
 """Reasons that a scan is dropped for once its place is known: each is counted by its home."""
 OVERLOAD = "overload"
+Counts = TypeVar("Counts", ScanCounts, SourceStatus)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ def summed(statuses: Mapping[int, Status]) -> Sums:
     """The counts of some shares, by share, as those of one mapper."""
     told = [statuses[share] for share in sorted(statuses)]
     if told:
-        scans, first = _scans([status.scans for status in told]), told[0]
+        scans, first = _summed([status.scans for status in told]), told[0]
         counts = MessageCounts(scans, first.poses, first.other, _robots([status.robots for status in told]))
     else:
         poses = PoseCounts(**{field.name: 0 for field in fields(PoseCounts)})
@@ -57,43 +58,20 @@ def summed(statuses: Mapping[int, Status]) -> Sums:
     return Sums(counts, sum(info.known_cells for info in infos), sum(info.bytes for info in infos))
 
 
-class _Placed(NamedTuple):
-    """What became of scans, of all robots or of one sensor."""
-
-    received: int
-    integrated: int
-    pending: int
-    dropped: dict[str, int]
-    beams_on_robots: int
-
-
-def _placed(told: Sequence[ScanCounts] | Sequence[SourceStatus]) -> _Placed:
-    first = told[0]
+def _summed(told: Sequence[Counts]) -> Counts:
+    """Counts of scans, of all robots or of one sensor, by share: the first one's, with the sums of homes."""
     reasons = {reason: None for counts in told for reason in counts.dropped}
-    dropped = {
-        reason: sum(counts.dropped.get(reason, 0) for counts in (told if reason in BY_HOME else told[:1]))
-        for reason in reasons
-    }
-    return _Placed(
-        received=first.received,
+    return replace(
+        told[0],
         integrated=sum(counts.integrated for counts in told),
         # Each waits in all shares until its place is known.
         pending=max(counts.pending for counts in told),
-        dropped=dropped,
+        dropped={
+            reason: sum(counts.dropped.get(reason, 0) for counts in (told if reason in BY_HOME else told[:1]))
+            for reason in reasons
+        },
         beams_on_robots=sum(counts.beams_on_robots for counts in told),
-    )
-
-
-def _scans(told: Sequence[ScanCounts]) -> ScanCounts:
-    first, placed = told[0], _placed(told)
-    return ScanCounts(
-        received=placed.received,
-        integrated=placed.integrated,
-        pending=placed.pending,
-        dropped=placed.dropped,
-        lost=first.lost,
-        replayed=first.replayed,
-        beams_on_robots=placed.beams_on_robots,
+        of_others=None,
     )
 
 
@@ -119,15 +97,9 @@ def _robot(told: Sequence[RobotStatus]) -> RobotStatus:
 
 
 def _source(told: Sequence[SourceStatus]) -> SourceStatus:
-    first, placed = told[0], _placed(told)
-    return SourceStatus(
-        run=first.run,
-        last_seq=first.last_seq,
-        received=placed.received,
-        pending=placed.pending,
-        integrated=placed.integrated,
-        dropped={reason: count for reason, count in placed.dropped.items() if count},
+    sums = _summed(told)
+    return replace(
+        sums,
+        dropped={reason: count for reason, count in sums.dropped.items() if count},
         hints=list(dict.fromkeys(hint for counts in told for hint in counts.hints)),
-        lost=first.lost,
-        beams_on_robots=placed.beams_on_robots,
     )
