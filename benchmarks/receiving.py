@@ -64,7 +64,7 @@ def of_rate(drive: Drive, nothing: Connection, share: RunningMapper) -> list[Res
         time.sleep(SETTLED)
         after = _asked(nothing), cpu_time(share)
         robots.send("go home")
-    scans = np.count_nonzero(put >= begun)
+    scans = int(np.count_nonzero(put >= begun))
     least, whole = (1e6 * (late - early) / scans for early, late in zip(before, after, strict=True))
     rate = drive.robots * drive.rate
     group = f"scans of another share, {rate:g} a second: process-CPU of a scan"
