@@ -13,11 +13,11 @@ from ogm_core.errors import BadParameter, MapEmpty
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Region
+from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
-from ogm_services.mapper.serving import answers as answers_module
 from ogm_services.mapper.serving import map_formats as formats_module
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
 from ogm_services.mapper.serving.answers import Answers
@@ -49,13 +49,13 @@ class Desk:
 
         monkeypatch.setattr(formats_module, f"encode_{name}", counted)
         if name == "png":  # that of the whole map is kept up to date
-            png = answers_module.MapPicture.png
+            png = MapPicture.png
 
             def counted_picture(*given, **options):
                 self.encoded.append(name)
                 return png(*given, **options)
 
-            monkeypatch.setattr(answers_module.MapPicture, "png", counted_picture)
+            monkeypatch.setattr(MapPicture, "png", counted_picture)
 
     def scan(self, *ranges, pose=HERE, stamp=0):
         """Integrate beams to the east, north, west and south."""
@@ -265,14 +265,14 @@ def test_quality_may_be_old_and_a_fresh_one_is_not(desk):
 def test_who_comes_while_a_map_is_encoded_shares_the_next(desk, monkeypatch, eventually):
     """Nobody gets a map that is older than his question, and nothing is encoded twice."""
     desk.scan(2.0)
-    encode, entered, go_on = answers_module.MapPicture.png, threading.Event(), threading.Event()
+    encode, entered, go_on = MapPicture.png, threading.Event(), threading.Event()
 
     def slow(*arguments):
         entered.set()
         assert go_on.wait(30.0)
         return encode(*arguments)
 
-    monkeypatch.setattr(answers_module.MapPicture, "png", slow)
+    monkeypatch.setattr(MapPicture, "png", slow)
     answers = []
 
     def ask():
@@ -310,14 +310,14 @@ def test_an_old_map_does_not_push_out_a_newer_one(desk):
 
 def test_a_map_of_before_a_reset_that_is_encoded_late_does_not_push_out_the_new_ones(desk, monkeypatch):
     desk.scan(2.0)
-    encode, entered, go_on = answers_module.MapPicture.png, threading.Event(), threading.Event()
+    encode, entered, go_on = MapPicture.png, threading.Event(), threading.Event()
 
     def slow(*arguments):
         entered.set()
         assert go_on.wait(10.0)
         return encode(*arguments)
 
-    monkeypatch.setattr(answers_module.MapPicture, "png", slow)
+    monkeypatch.setattr(MapPicture, "png", slow)
     late = []
     thread = threading.Thread(target=lambda: late.append(desk.answers.map("png", {})))
     thread.start()

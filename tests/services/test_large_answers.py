@@ -17,6 +17,7 @@ from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import large_answers as large_module
 from ogm_services.mapper.serving import map_formats as formats_module
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.large_answers import LARGE_AT_ONCE
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS
@@ -39,7 +40,9 @@ class Desk:
         for x in (0.0, side):
             self.live.integrate(Scan(1, 0.0, 1.0, 0.0, 20.0, np.full(1, 1.5, np.float32)), Pose(x, x, 0.0))
         self.in_flight = InFlight(limit)
-        self.answers = Answers("hall", self.live, Receipts(), Monitor(self.live), in_flight=self.in_flight)
+        self.answers = Answers(
+            "hall", self.live, Receipts(), Monitor(self.live), memory=AnswerMemory(in_flight=self.in_flight)
+        )
 
 
 @pytest.fixture
@@ -135,7 +138,7 @@ def test_large_answers_take_half_of_the_threads_and_small_ones_find_the_others(
     monkeypatch.setattr(large_module, "LARGE", 1000)
     desk = Desk(20.0)
     made = [in_background(desk.answers.map, "json", {"region": region(k)}) for k in range(LARGE_AT_ONCE)]
-    eventually(lambda: desk.answers._large._places._value == 0)
+    eventually(lambda: desk.answers.memory.large._places._value == 0)
     with pytest.raises(Busy, match="4 answers of more than 1000 cells are being made: try again later"):
         desk.answers.map("npz", {})
     assert desk.answers.map("json", {"region": "0,0,2,2"}).body

@@ -18,6 +18,7 @@ from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving import large_answers
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.large_answers import LARGE_AT_ONCE
 from ogm_services.replies.answer import Busy
@@ -261,7 +262,9 @@ class Desk:
         for x in (0.0, side):
             live.integrate(Scan(1, 0.0, 1.0, 0.0, 20.0, np.full(1, 1.5, np.float32)), Pose(x, x, 0.0))
         self.in_flight = InFlight(limit)
-        self.queries = Answers("hall", live, Receipts(), Monitor(live), in_flight=self.in_flight).queries
+        self.queries = Answers(
+            "hall", live, Receipts(), Monitor(live), memory=AnswerMemory(in_flight=self.in_flight)
+        ).queries
 
 
 @pytest.mark.parametrize("form", MEDIA)
@@ -317,7 +320,7 @@ def test_what_has_no_room_is_not_begun_and_what_is_large_takes_its_turn(monkeypa
     monkeypatch.setattr(large_answers, "LARGE", 1000)
     with ExitStack() as others:
         for _ in range(LARGE_AT_ONCE):
-            others.enter_context(desk.queries._large.making(1001))
+            others.enter_context(desk.queries._memory.large.making(1001))
         with pytest.raises(Busy, match="4 answers of more than 1000 cells are being made"):
             desk.queries.distance("npz", {"region": "0,0,1,1"})  # it looks at all of the map
         assert desk.queries.distance("npz", {"region": "0,0,1,1", "max_distance": "0.5"}).body

@@ -16,6 +16,7 @@ from ogm_core.errors import BadParameter
 from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.live import load
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
@@ -32,12 +33,12 @@ class BrokenAnswers:
 
     free_below = FREE_BELOW
 
+    def __init__(self):
+        self.memory = AnswerMemory()
+
     def map_parameters(self, form):
         """As every mapper's."""
         return Answers.map_parameters(self, form)
-
-    def count_cache(self, _):
-        """Nothing is cached."""
 
     def __getattr__(self, name):
         def answer(*_):

@@ -20,6 +20,7 @@ from ogm_services.mapper.live import map_memory
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_cache import CACHE_BYTES
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.runtime.memory import MemoryUse
 
@@ -116,18 +117,18 @@ def test_what_others_hold_stops_only_what_needs_new_tiles(monkeypatch):
 def test_answers_that_are_kept_never_stop_the_map():
     memory = MemoryUse(4 * MEBIBYTE)
     live = LiveMap(OccupancyGrid(SETTINGS, "e"), memory)
-    answers = Answers("hall", live, Receipts(), Monitor(live), memory=memory)
+    answers = Answers("hall", live, Receipts(), Monitor(live), memory=AnswerMemory(memory))
     alone = grown(LiveMap(OccupancyGrid(SETTINGS, "e"), MemoryUse(4 * MEBIBYTE)))[0]
     for k in range(alone):
         live.integrate(*beam(32.0 * k + 0.25, 30.0))
         for n in range(1 if k < alone - 40 else 10):
             answers.map("json", {"region": f"0,0,{90_000 + n},100"})
         assert memory.total() <= memory.limit
-    full = answers.cached_bytes()
+    full = answers.memory.kept_bytes
     assert 0 < full <= memory.share(CACHE_BYTES)
     with pytest.raises(LimitReached):
         live.integrate(*beam(32.0 * alone + 0.25, 30.0))
-    assert answers.cached_bytes() == full  # nothing is let go for a scan that is refused all the same
+    assert answers.memory.kept_bytes == full  # nothing is let go for a scan that is refused all the same
 
 
 def test_no_cache_keeps_more_than_a_sixteenth_of_the_memory(start_mapper):

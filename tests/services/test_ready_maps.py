@@ -5,6 +5,7 @@ from fastapi import Request
 
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.serving.answer_cache import BYTES_BESIDES
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.content_coding import Accepted
 from ogm_services.mapper.serving.ready_maps import Ready, ReadyMaps
 from ogm_services.replies.answer import Answer
@@ -23,8 +24,10 @@ class Map:
     """Stands for the answers: a map that says how far it has come."""
 
     identity = Identity("e", "r", 3, 7)
-    cache_room = 64 * 1024**2
     at_once = True
+
+    def __init__(self):
+        self.memory = AnswerMemory()
 
     def now(self):
         return self.identity
@@ -52,10 +55,10 @@ def keep(ready, body, queries):
 @pytest.mark.parametrize(("body", "query"), [(1_000_000, 10), (10, 1_000_000), (500_000, 500_000), (0, 0)])
 def test_bodies_and_queries_of_any_length_have_the_same_room(ready, body, query):
     room = 3 * (body + query + len("/map.png") + 1 + BYTES_BESIDES)
-    ready._answers.cache_room = room
+    ready._answers.memory.cache_room = room
     queries = [b"%d" % k + b"x" * query for k in range(7)]
     assert keep(ready, bytes(body), queries) == [1, 2, 3, 1, 2, 3, 1]
-    ready._answers.cache_room = room // 4
+    ready._answers.memory.cache_room = room // 4
     assert keep(ready, bytes(body), queries[:2]) == [0, 0]
 
 

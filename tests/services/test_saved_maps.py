@@ -20,6 +20,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.serving import large_answers as large_module
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, map_format
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.storage.map_store import MapStore
@@ -458,7 +459,7 @@ def fine(tmp_path):
         grid.integrate(scan, Pose(0.0, 0.0, 0.0))
         store.commit(grid.checkpoint(), settings, "run", {})
         store.save("a")
-        saved = SavedMaps(store.snapshots, settings, "hall", in_flight)
+        saved = SavedMaps(store.snapshots, settings, "hall", AnswerMemory(in_flight=in_flight))
         yield SimpleNamespace(saved=saved, in_flight=in_flight, tiles=grid.nbytes)
 
 

@@ -39,6 +39,7 @@ from ogm_services.mapper.live.presence import RobotPresence
 from ogm_services.mapper.live.start_map import started_grid
 from ogm_services.mapper.live.timed_sink import TimedSink
 from ogm_services.mapper.live.watch import Watch
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.live_updates import LiveUpdates
@@ -213,14 +214,13 @@ class Parts:
         self.in_flight = in_flight = InFlight(self.limits.answer_bytes, memory.left, memory.make_room)
         """Any thread."""
         kept, map_name = self.kept_map, settings.network.map_name
+        answer_memory, saved = AnswerMemory(memory, in_flight), None
+        if kept is not None:
+            saved = SavedMaps(kept.snapshots, self.grid_settings, map_name, answer_memory)
         self.answers = Answers(
-            *(map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set),
-            memory=memory,
-            in_flight=in_flight,
+            *(map_name, self.live_map, self.receipts, self.monitor, self.ready.is_set, answer_memory),
             store=None if kept is None else kept.info,
-            saved=None
-            if kept is None
-            else SavedMaps(kept.snapshots, self.grid_settings, map_name, in_flight),
+            saved=saved,
             share=None if self.share is None else self.share.info(),
             threads=settings.mapper.thread_count,
         )

@@ -18,6 +18,7 @@ from ogm_services.mapper.gateway.share_statuses import ShareStatuses
 from ogm_services.mapper.limits import Limits
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.live.newest_scans import NewestScans
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.live_updates import LiveUpdates
 from ogm_services.mapper.serving.load_metrics import memory_metrics, ready_metric
@@ -85,7 +86,7 @@ class GatewayParts:
         statuses = ShareStatuses(session, self.keys, self.gathered.layout.count, timeout)
         self.answers = GatheredAnswers(
             *(map_name, self.gathered, self.gathering, statuses, self.told, self.followed),
-            *(self.receipts, self.monitor, self.ready.is_set, memory, self.in_flight),
+            *(self.receipts, self.monitor, self.ready.is_set, AnswerMemory(memory, self.in_flight)),
         )
         """The answering threads ask."""
         self.writes = GatewayWrites(self.answers, self.gathering, statuses)

@@ -11,9 +11,10 @@ from ogm_core.status import MapInfo, MissingPart, ShareState, Status
 from ogm_services.mapper.gateway.share_statuses import ShareStatuses
 from ogm_services.mapper.gateway.summed_status import OVERLOAD, summed
 from ogm_services.mapper.live.monitor import Monitor
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.map_formats import MAP_FORMATS, map_format
-from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, COMPLETE, COMPLETE_FIRST, region_of
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS
+from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, COMPLETE, COMPLETE_FIRST
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.shares.gathered_map import GatheredMap
@@ -21,8 +22,6 @@ from ogm_services.mapper.shares.gathered_views import GatheredView
 from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.share_parts import MissingShare
 from ogm_services.replies.answer import Answer, AskShares, Parameters, PartOfMap
-from ogm_services.replies.in_flight import InFlight
-from ogm_services.runtime.memory import MemoryUse
 
 PLANNERS = frozenset({"pgm", "yaml"})
 """Formats that a planner loads, to which what is unknown may be free."""
@@ -46,14 +45,10 @@ class GatheredAnswers(Answers):
         receipts: Receipts,
         monitor: Monitor,
         ready: Callable[[], bool],
-        memory: MemoryUse,
-        in_flight: InFlight,
+        memory: AnswerMemory,
     ) -> None:
         """`told` and `followed` are the gathered map under its two names; `receipts` are of robots' poses."""
-        super().__init__(
-            *(map_name, told, receipts, monitor, ready, memory, in_flight),
-            followed=followed,
-        )
+        super().__init__(map_name, told, receipts, monitor, ready, memory, followed=followed)
         self._name = map_name
         self._gathered = gathered
         self._gathering = gathering
@@ -112,9 +107,7 @@ class GatheredAnswers(Answers):
             return super()._map_now(form, rest)
         if whole:
             _refuse_part(missing)
-        wanted, region = map_format(form, rest), region_of(rest)
-        with self._large.making(self._cells(form, rest, region)):
-            return self._made(wanted, self._gathered.partial(state, missing), rest, region)
+        return self._maps.answer_of(lambda: self._gathered.partial(state, missing), form, rest)
 
     def cell(self, given: Parameters) -> Answer:
         """One cell; refused while the share that owns it is missing."""

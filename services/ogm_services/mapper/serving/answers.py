@@ -6,45 +6,23 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ogm_core.cells.value_bytes import COLOURS, value_byte
-from ogm_core.files.map_files import PALETTES
-from ogm_core.lattice import Region
-from ogm_core.pictures.map_picture import MapPicture
 from ogm_core.placing.receipts import Receipts
-from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.live.served_map import ServedMap
-from ogm_services.mapper.serving.answer_cache import CACHE_BYTES, AnswerCache, Cache
+from ogm_services.mapper.serving.answer_cache import AnswerCache
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
+from ogm_services.mapper.serving.encoded_maps import EncodedMaps
 from ogm_services.mapper.serving.kept_status import KeptStatus
-from ogm_services.mapper.serving.large_answers import LargeAnswers
-from ogm_services.mapper.serving.map_formats import (
-    MAP_FORMATS,
-    UPDATES_FORMAT,
-    MapFormat,
-    bytes_to_make,
-    map_format,
-)
-from ogm_services.mapper.serving.map_parameters import (
-    AT,
-    CELL_X,
-    CELL_Y,
-    FINE_FIRST,
-    PALETTE,
-    region_of,
-    served,
-    shrunk,
-    transparent,
-)
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT, map_format
+from ogm_services.mapper.serving.map_parameters import AT, CELL_X, CELL_Y, FINE_FIRST, served
 from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
 from ogm_services.mapper.serving.map_updates import MapUpdates
 from ogm_services.mapper.serving.queries import Queries
 from ogm_services.mapper.serving.query_parameters import Parameter, check_names
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
-from ogm_services.replies.in_flight import InFlight
-from ogm_services.runtime.memory import MemoryUse
 
 
 class Answers:
@@ -60,74 +38,46 @@ class Answers:
         receipts: Receipts,
         monitor: Monitor,
         ready: Callable[[], bool] = lambda: True,
-        memory: MemoryUse | None = None,
-        in_flight: InFlight | None = None,
+        memory: AnswerMemory | None = None,
         store: Callable[[], StoreInfo] | None = None,
         saved: SavedMaps | None = None,
         share: ShareInfo | None = None,
         followed: ServedMap | None = None,
         threads: int = 1,
     ) -> None:
-        """`memory`: what else is held; where it is short, no answer is kept for the next who asks.
+        """`store` tells of the map on disk, and `saved` of those that are saved; None: nothing is stored.
 
-        `in_flight` counts what is being made. `store` tells of the map on disk, and `saved` of those
-        that are saved; None: nothing is stored. `share` is the one that this is the map of. `followed` is
-        the map under the name that it has for who follows it, where that is another one. So many `threads`
-        update cells.
+        `share` is the one that this is the map of. `followed` is the map under the name that it has for who
+        follows it, where that is another one. So many `threads` update cells.
         """
         self._map_name = map_name
         self._map = live_map
         self._monitor = monitor
         self._receipts = receipts
         self._started = time.monotonic()
-        self._memory = memory
-        self._in_flight = in_flight or InFlight()
-        self._store = store
-        self._saved = saved
+        self.memory = memory = memory or AnswerMemory()
+        """What they take; who keeps answers elsewhere counts them there."""
+        self._store, self._saved = store, saved
         self._share, self._threads = share, threads
-        self._large = LargeAnswers() if saved is None else saved.large
-        self.cache_room = CACHE_BYTES if memory is None else memory.share(CACHE_BYTES)
-        """Bytes of answers that one cache may keep."""
-        self._cache = AnswerCache(self.now, self.cache_room)
-        self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
-        self._pictures = {name: MapPicture(encoder) for name, encoder in PALETTES.items()}
-        self._coloured = MapPicture(value_byte)
-        follow = followed or live_map
-        told = self._cache if followed is None else AnswerCache(lambda: follow.now, self.cache_room)
-        self._updates = MapUpdates(follow, told, self._large, self._in_flight)
-        self.map_tiles = MapTiles(follow, self.cache_room, self._in_flight)
-        """The tiles of the live map, for all who want some."""
         self._ready = ready
-        self.queries = Queries(
-            *(
-                live_map,
-                self._cache,
-                self._large,
-                self._in_flight,
-                self.check_whole,
-                lambda: self.saved,
-                memory,
-            )
-        )
+        self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
+        memory.in_all.add("status", lambda: self._status.nbytes)
+        self._make_answers(followed or live_map)
+
+    def _make_answers(self, followed: ServedMap) -> None:
+        """What answers about the map, each about what it is made of."""
+        memory, live_map = self.memory, self._map
+        self._cache = told = AnswerCache(self.now, memory.cache_room)
+        if followed is not live_map:
+            told = AnswerCache(lambda: followed.now, memory.cache_room)
+            memory.count(told)
+        self._maps = EncodedMaps(self._map_name, live_map, self._cache, memory)
+        self._updates = MapUpdates(followed, told, memory.large, memory.in_flight)
+        self.map_tiles = MapTiles(followed, memory.cache_room, memory.in_flight)
+        """The tiles of the live map, for all who want some."""
+        self.queries = Queries(live_map, self._cache, memory, self.check_whole, lambda: self.saved)
         """What is computed from the map for who asks."""
-        self._caches: list[Cache] = [self._cache, *self._pictures.values(), self._coloured, self.map_tiles]
-        if told is not self._cache:
-            self._caches.append(told)
-        if memory is not None:
-            memory.add("caches", self.cached_bytes, let_go=self._let_go)
-            memory.add("status", lambda: self._status.nbytes)
-
-    def count_cache(self, cache: Cache) -> None:
-        """Count a cache of answers that lies elsewhere."""
-        self._caches.append(cache)
-
-    def cached_bytes(self) -> int:
-        """Bytes of answers that are kept for the next who asks; a body in two caches counts twice."""
-        return sum(cache.nbytes for cache in self._caches)
-
-    def _let_go(self) -> None:
-        for cache in self._caches:
-            cache.let_go()
+        memory.count(self._cache, self.map_tiles)
 
     def check_started(self) -> None:
         """Refuse what needs a service that has started; waits for nobody.
@@ -182,75 +132,17 @@ class Answers:
     def _map_now(self, form: str, given: Parameters) -> Answer:
         if form == UPDATES_FORMAT:
             answer = self._updates.answer(given)
-            if self._memory is not None:
-                self._memory.make_room()
+            self.memory.make_room()
             return answer
-        wanted = map_format(form, given)
-        saved_as = AT.read(given)
-        if saved_as is not None:
-            rest = {name: value for name, value in given.items() if name != AT.name}
-            return self.saved.map(saved_as, wanted, rest)
-        asked = self._map.now
-        key, region = (form, tuple(sorted(given.items()))), region_of(given)
-        return self._cache.answer(
-            *(key, asked),
-            lambda: self._large.making(self._cells(form, given, region)),
-            lambda: self._encoded(wanted, given, region, key),
-        )
+        wanted, saved_as = map_format(form, given), AT.read(given)
+        if saved_as is None:
+            return self._maps.answer(form, given)
+        rest = {name: value for name, value in given.items() if name != AT.name}
+        return self.saved.map(saved_as, wanted, rest)
 
     def now(self) -> Identity:
         """Epoch, revision and stamp of the map at this moment; waits for nobody."""
         return self._map.now
-
-    def _cells(self, form: str, given: Parameters, region: Region | None) -> int:
-        """How many cells an answer looks at; the picture that is kept up to date looks at few."""
-        kept = form == "png" and given.keys() <= {"palette", "transparent"}
-        return (
-            0 if kept else MAP_FORMATS[form].cells_looked_at(self._map.cells_in(region, finest=True), given)
-        )
-
-    def _encoded(self, wanted: MapFormat, given: Parameters, region: Region | None, key: object) -> Answer:
-        snapshot = self._map.snapshot()
-        answer = self._made(wanted, snapshot, given, region)
-        self._cache.keep(key, Identity.of(snapshot), answer)
-        if self._memory is not None:
-            self._memory.make_room()
-        return answer
-
-    def _made(
-        self, wanted: MapFormat, whole: MapSnapshot, given: Parameters, region: Region | None
-    ) -> Answer:
-        """A map in a format."""
-        snapshot = wanted.served(whole, given)
-        cropped = snapshot if region is None else snapshot.crop(region)
-        picture = self._picture_of(wanted, cropped, given) if cropped is snapshot else None
-        if picture is None:
-            cells = wanted.cells_looked_at(cropped.width * cropped.height, given)
-            size = bytes_to_make(wanted, cropped.model, cells)
-        else:  # only what has changed is encoded, and what was is put together
-            size = 2 * picture.nbytes + cropped.width * cropped.height // 16
-        with self._in_flight.making(size):
-            shown = shrunk(cropped, given)
-            if picture is None:
-                body = wanted.encode(shown, self._map_name, given)
-            elif picture is self._coloured:
-                colours = COLOURS[PALETTE.read(given)]
-                body = picture.png(snapshot, colours, transparent=transparent(given))
-            else:
-                body = picture.png(snapshot)
-        return Answer(body, wanted.media_type, shown.meta())
-
-    def _picture_of(self, wanted: MapFormat, whole: MapSnapshot, given: Parameters) -> MapPicture | None:
-        """The picture of the whole map that is kept up to date, if that is what is wanted."""
-        if (
-            whole.missing
-            or wanted is not MAP_FORMATS["png"]
-            or whole.empty
-            or given.keys() & {"max_size", "resolution"}
-        ):
-            return None
-        palette = PALETTE.read(given)
-        return self._coloured if transparent(given) else self._pictures.get(palette, self._coloured)
 
     def tile(self, place: Mapping[str, str], given: Parameters) -> MapTile:
         """The tile of the map that `z`, `x` and `y` name.
@@ -262,8 +154,7 @@ class Answers:
         """
         self.check_ready()
         tile = self.map_tiles.tile(square_of(place), palette_of(given))
-        if self._memory is not None:
-            self._memory.make_room()
+        self.memory.make_room()
         return tile
 
     def tiles(self, base: str) -> Answer:

@@ -130,7 +130,7 @@ def _begun(
         openapi_tags=[{"name": name, "description": said} for name, said in TAGS.items()],
     )
     ready = ReadyMaps(answers)
-    answers.count_cache(ready)
+    answers.memory.count(ready)
     for each in reversed(
         middlewares(
             *(app.routes, access, write_access, ready),

@@ -15,15 +15,13 @@ from ogm_core.wire.keys import Query
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.served_map import ServedMap
 from ogm_services.mapper.serving.answer_cache import AnswerCache
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.checks import read_check, words_of
-from ogm_services.mapper.serving.large_answers import LargeAnswers
 from ogm_services.mapper.serving.layers import LAYER_FORMATS, Layer, layer_bytes, layer_of
 from ogm_services.mapper.serving.map_parameters import AT, region_of
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
-from ogm_services.replies.in_flight import InFlight
-from ogm_services.runtime.memory import MemoryUse
 
 
 class Queries:
@@ -33,13 +31,11 @@ class Queries:
         self,
         live_map: ServedMap,
         cache: AnswerCache,
-        large: LargeAnswers,
-        in_flight: InFlight,
+        memory: AnswerMemory,
         check_ready: Callable[[], None],
         saved: Callable[[], SavedMaps],
-        memory: MemoryUse | None = None,
     ) -> None:
-        """`check_ready` refuses while the mapper starts; `in_flight` counts what is being made.
+        """`check_ready` refuses while the mapper starts.
 
         `saved` gives the maps that are saved, or refuses where none are.
 
@@ -48,8 +44,6 @@ class Queries:
         self._map = live_map
         self._cache = cache
         self._memory = memory
-        self._large = large
-        self._in_flight = in_flight
         self._check_ready = check_ready
         self._saved = saved
 
@@ -65,7 +59,7 @@ class Queries:
         fan, whole = Fan.read(given), self._map.snapshot().finest()
         part = FanCells.of(fan, whole)
         cells = part.snapshot.rect.cells
-        with self._large.making(cells), self._in_flight.making(_bytes_of_states(part.snapshot)):
+        with self._memory.large.making(cells), self._memory.in_flight.making(_bytes_of_states(part.snapshot)):
             ranges, ends = fan.cast(part)
         return _json(whole, {"ranges": ranges, "ends": ends})
 
@@ -82,7 +76,7 @@ class Queries:
         asked = read_check(body, whole.lattice)
         window = asked.rect.intersection(whole.rect)
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
-        with self._large.making(window.cells), self._in_flight.making(_bytes_of_states(part)):
+        with self._memory.large.making(window.cells), self._memory.in_flight.making(_bytes_of_states(part)):
             return _json(whole, {"states": words_of(asked, part)})
 
     def distance(self, form: str, given: Parameters) -> Answer:
@@ -112,7 +106,7 @@ class Queries:
         key = (f"{name}.{form}", tuple(sorted(given.items())))
         return self._cache.answer(
             *(key, self._map.now),
-            lambda: self._large.making(self._map.cells_in(_grown(region, layer.reach), finest=True)),
+            lambda: self._memory.large.making(self._map.cells_in(_grown(region, layer.reach), finest=True)),
             lambda: self._made_and_kept(layer, region, form, key),
         )
 
@@ -120,8 +114,7 @@ class Queries:
         whole = self._map.snapshot().finest()
         answer = self._made(layer, region, form, whole)
         self._cache.keep(key, Identity.of(whole), answer)
-        if self._memory is not None:
-            self._memory.make_room()
+        self._memory.make_room()
         return answer
 
     def _made(self, layer: Layer, region: Region | None, form: str, whole: MapSnapshot) -> Answer:
@@ -129,7 +122,7 @@ class Queries:
         if form == "png":
             check_not_empty(shown)
         window = around(shown.rect, layer.reach / whole.lattice.resolution, whole.rect)
-        with self._in_flight.making(layer_bytes(window.cells, shown.rect.cells)):
+        with self._memory.in_flight.making(layer_bytes(window.cells, shown.rect.cells)):
             x, y, width, height = shown.rect
             states = whole.part(window).encode(trinary)
             body = layer.encoded(states, CellRect(x - window.ix, y - window.iy, width, height), shown)

@@ -73,7 +73,7 @@ class ReadyMaps:
             path = request.scope["path"].removeprefix(request.scope.get("root_path", ""))
             asked = path, request.scope["query_string"]
             size = ready.size + sum(map(len, asked)) + BYTES_BESIDES
-            room = self._answers.cache_room
+            room = self._answers.memory.cache_room
             with self._keeping:
                 if self._of != now or self._size + size > room:
                     self._of, self._ready, self._size = now, {}, 0

@@ -7,12 +7,11 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import SnapshotList, encode_status
-from ogm_services.mapper.serving.large_answers import LargeAnswers
+from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.map_formats import MapFormat, bytes_to_make
 from ogm_services.mapper.serving.map_parameters import region_of, shrunk
 from ogm_services.mapper.storage.snapshots import SavedMap, Snapshots
 from ogm_services.replies.answer import Answer, Parameters
-from ogm_services.replies.in_flight import InFlight
 
 COPIES = 2
 """A map is read, and then copied for who encodes it."""
@@ -25,15 +24,13 @@ class SavedMaps:
     """
 
     def __init__(
-        self, snapshots: Snapshots, settings: GridSettings, map_name: str, in_flight: InFlight
+        self, snapshots: Snapshots, settings: GridSettings, map_name: str, memory: AnswerMemory
     ) -> None:
-        """`settings` are the live map's; `in_flight` counts what is being made."""
+        """`settings` are the live map's, and so is the `memory`."""
         self._snapshots = snapshots
         self._settings = settings
         self._map_name = map_name
-        self._in_flight = in_flight
-        self.large = LargeAnswers()
-        """Of live maps, too."""
+        self._memory = memory
 
     def list(self) -> Answer:
         """Every snapshot, by name."""
@@ -69,7 +66,7 @@ class SavedMaps:
         with self._snapshots.opened(name) as saved:
             rect = self._rect_of(saved)
             size = COPIES * saved.nbytes + to_make(rect)
-            with self.large.making(rect.cells), self._in_flight.making(size):
+            with self._memory.large.making(rect.cells), self._memory.in_flight.making(size):
                 yield saved.grid(self._settings).snapshot()
 
     def _rect_of(self, saved: SavedMap) -> CellRect:

@@ -31,8 +31,8 @@ class SharePart:
         self._settings = as_text(live_map.settings)
         self._answers = answers
         self._in_flight = in_flight
-        self._cache = AnswerCache(answers.now, answers.cache_room)
-        answers.count_cache(self._cache)
+        self._cache = AnswerCache(answers.now, answers.memory.cache_room)
+        answers.memory.count(self._cache)
 
     def answer(self, given: Parameters) -> Answer:
         """The tiles in a region that were written after the revision `since`, or all tiles in it.
