@@ -3,6 +3,9 @@
 Each of these is longer, with more kills, in `make soak ARGS=shares`.
 """
 
+import pytest
+
+from tests.soak.share_fleet import ALONE, COUNTS
 from tests.soak.shares import (
     AT_THE_CUTS,
     log_across_shares,
@@ -13,8 +16,10 @@ from tests.soak.shares import (
 )
 
 
-def test_shares_that_are_killed_have_every_scan_once(tmp_path):
-    found = shares_killed(tmp_path, 2, robots=range(40, 60), rate=10.0)
+@pytest.mark.parametrize("cells", [ALONE, COUNTS], ids=["alone", "counts"])
+def test_shares_that_are_killed_have_every_scan_once(tmp_path, cells):
+    """Alone the order of each robot's scans shows; counts are of robots that see each other's places."""
+    found = shares_killed(tmp_path, 2, robots=range(40, 60), rate=10.0, cells=cells)
     assert found.right, found
     assert all(away > 0 for away in found.away), "something was missed"
 

@@ -42,6 +42,9 @@ class Outcome:
     counted: Counter[str] = field(default_factory=Counter)
     """Of all the mapper's lives: scans dropped by reason, odd poses, and what was lost and came again."""
 
+    hz: float | None = None
+    """Scans that a robot has published a second, where they were slowed down to what could be taken."""
+
     @property
     def lost(self) -> int:
         """Scans and poses that nobody had any more."""

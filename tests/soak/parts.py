@@ -115,6 +115,7 @@ def _happened(happening: dict[str, Happens], *, at_once: int, wrong: str) -> tup
         dropped = ", ".join(f"{count:,} {reason}" for reason, count in found.dropped.items())
         away = f"{sum(found.away):,}" if found.away else "-"
         counts = f"{found.lost:,}", f"{found.replayed:,}", f"{found.wrong_cells:,}"
+        what += f" ({found.hz:.3g} reached)" if found.hz else ""
         rows.append([what, f"{found.sent:,}", away, f"{found.integrated:,}", dropped or "0", *counts])
         if not found.right:
             failures.append(f"{what}: {found}")

@@ -3,14 +3,14 @@
 import functools
 from dataclasses import dataclass, replace
 
-import msgpack
 import numpy as np
 
 from benchmarks.workloads import simulated
 from ogm_core.simulation.lidar import Lidar
 from ogm_core.simulation.worlds import lab
 from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan
-from ogm_core.wire.messages import encode_pose, encode_scan
+from ogm_core.wire.messages import encode_pose
+from tests.soak.encoded import Encoded
 
 T0 = 1_700_000_000_000_000_000
 PERIOD = 50_000_000
@@ -61,14 +61,10 @@ def placed(robot: str, number: int) -> PlacedScan:
 
 
 def messages(robot: str, number: int) -> list[tuple[str, bytes]]:
-    """Keys, below the robot's, and payloads of that number: its pose, where it sends poses, and its scan.
-
-    A scan is encoded once a lap; then its stamp and seq, which come first, are put before the rest, so that
-    one process can send many times what a mapper takes.
-    """
+    """Keys, below the robot's, and payloads of that number: its pose, where it sends poses, and its scan."""
     kind = KINDS[robot.partition("-")[0]]
-    start, rest = _encoded(robot, number % kind.stops)
-    scan = (f"scan/laser{number % kind.sensors}", start + _first_fields(number) + rest)
+    payload = _encoded(robot, number % kind.stops).message(T0 + number * PERIOD, number)
+    scan = (f"scan/laser{number % kind.sensors}", payload)
     if not kind.sends_poses:
         return [scan]
     here = placed(robot, number)
@@ -76,11 +72,6 @@ def messages(robot: str, number: int) -> list[tuple[str, bytes]]:
 
 
 @functools.cache
-def _encoded(robot: str, number: int) -> tuple[bytes, bytes]:
-    """What stands before and after stamp and seq in the message of that number."""
-    encoded = encode_scan(placed(robot, number).scan)
-    return encoded[:1], encoded[1 + len(_first_fields(number)) :]
-
-
-def _first_fields(number: int) -> bytes:
-    return bytes(msgpack.packb({"stamp": T0 + number * PERIOD, "seq": number}))[1:]
+def _encoded(robot: str, number: int) -> Encoded:
+    """The scan of that number, encoded once a lap."""
+    return Encoded.of(placed(robot, number).scan)

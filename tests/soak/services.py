@@ -4,9 +4,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,15 @@ class Mapper(Service):
         return status
 
     @property
+    def waiting(self) -> int:
+        """Scans that wait in its queue; 0 while it is not ready. Any thread."""
+        try:
+            counts = httpx.get(f"{self._url}status", timeout=5.0).raise_for_status().json()["scans"]
+        except (httpx.HTTPError, httpx.InvalidURL):  # it is being killed, or starts
+            return 0
+        return int(counts["pending"])
+
+    @property
     def anybody_alive(self) -> bool:
         """Whether any robot's token is there."""
         return any(robot["alive"] for robot in self.status()["robots"].values())
@@ -157,14 +167,28 @@ class Robots(Service):
     """Robots, all of them one process: `sent` is how many scans each has published when it is asked."""
 
     def __init__(
-        self, endpoint: str, robots: range, rate: float, *, within: float = 0.0, run: int = 0
+        self,
+        endpoint: str,
+        robots: Iterable[int],
+        rate: float,
+        *,
+        within: float = 0.0,
+        run: int = 0,
+        sight: str = "near",
     ) -> None:
-        self.endpoint, self.rate = endpoint, rate
-        super().__init__("tests.soak.driving", endpoint, f"run{run}", rate, within, *robots)
+        self.endpoint, self.rate, self.sight = endpoint, rate, sight
+        self.hz = 0.0
+        """Scans that a robot has published a second, on average, when they were asked last."""
+        self._asking = threading.Lock()
+        super().__init__("tests.soak.driving", endpoint, f"run{run}", rate, within, sight, *robots)
 
     def sent(self) -> dict[int, int]:
         """Scans that each robot has published."""
         return self._ask("")
+
+    def go_at(self, pace: float) -> None:
+        """Have them publish so many times as fast as their rate says."""
+        self._ask(f"pace {pace}")
 
     def stop(self) -> dict[int, int]:
         """Have them publish no more; what they have published they keep."""
@@ -172,6 +196,7 @@ class Robots(Service):
 
     def _ask(self, line: str) -> dict[int, int]:
         assert self.process is not None
-        self.process.stdin.write(f"{line}\n".encode())  # type: ignore[union-attr]
-        told = json.loads(line_after(self.process, "sent "))
+        with self._asking:  # the test's thread and that of a Pacer
+            self.process.stdin.write(f"{line}\n".encode())  # type: ignore[union-attr]
+            told, self.hz = json.loads(line_after(self.process, "sent "))
         return {int(robot): count for robot, count in told.items()}

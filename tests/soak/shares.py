@@ -1,9 +1,4 @@
-"""Shares of a map that are killed and frozen, their router, and robots: they hold what one mapper would.
-
-Four `ogm mapper --share`, each with its store, a router, and robots of which some see across the cuts, each a
-process. The parts that the shares answer with are put together, and held against the map that the robots'
-scans make where nothing ever goes wrong.
-"""
+"""Shares of a map that are killed and frozen, their router, and robots: they hold what one mapper would."""
 
 import json
 import os
@@ -13,9 +8,8 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -25,88 +19,14 @@ from ogm_core.files.map_files import encode_npz, read_npz
 from ogm_core.lattice import TILE
 from ogm_core.wire.keys import MapKeys
 from ogm_services.settings.settings import Settings
-from tests.gathering import gathered, grid_of, parts, tiles_of_grid
-from tests.soak.drives import uninterrupted_grid
-from tests.soak.missed import SEED, SETTLED, TELLING, Happens, Outcome, within
+from tests.gathering import grid_of, parts
+from tests.soak.missed import SEED, SETTLED, Happens, Outcome, within
 from tests.soak.overload import differing
 from tests.soak.services import Mapper, Robots, Service
+from tests.soak.share_fleet import ALONE, COUNTS, LOG_ODDS, SHARES, Cells, Pacer, fleet_in, has_all
 
-SHARES = range(4)
-CUT = 51.2
-"""At x and at y, m: robots whose number has a 5 stand 1.2 m from it, and see across."""
-FLAGS = {"cuts_x": CUT, "cuts_y": CUT, "reach": 4.0}
 AT_THE_CUTS = (45, 54, 55, 56, 65)
 """One whose scans all four shares have a part of, and its neighbours."""
-
-
-@dataclass
-class Fleet:
-    """Four shares, their robots, and the router between them."""
-
-    endpoint: str
-    router: Service
-    shares: list[Mapper]
-    robots: Robots
-    over: list[dict[int, int]] = field(default_factory=list)
-    """Scans of each robot in runs that are over."""
-    found: Outcome = field(default_factory=Outcome)
-
-    @property
-    def sent(self) -> int:
-        """Scans that all robots of this run have published."""
-        return sum(self.robots.sent().values())
-
-    def wait_for(self, count: int) -> None:
-        """Return once the robots of this run have published so many scans."""
-        assert within(SETTLED, lambda: self.sent >= count), "the robots do not publish"
-
-    def settled(self) -> Outcome:
-        """Stop the robots, wait until every share has all, and compare; `wrong_cells` counts tiles."""
-        runs = [*self.over, self.robots.stop()]
-        sent = {robot: [run[robot] for run in runs] for robot in runs[-1]}
-        self.found.sent = sum(map(sum, sent.values()))
-        within(SETTLED, lambda: all(_has_all(share, self.found.sent) for share in self.shares))
-        revisions = [share.status()["revision"] for share in self.shares]
-        # Each share places every scan: one that has another number has missed one, or taken one twice.
-        self.found.integrated = max(revisions, key=lambda revision: abs(revision - self.found.sent))
-        tiles = gathered(self._parts())
-        whole = tiles_of_grid(uninterrupted_grid(sent, self.robots.rate, TELLING))
-        self.found.wrong_cells = sum(
-            tiles.get(place) != whole.get(place) for place in tiles.keys() | whole.keys()
-        )
-        for share in self.shares:
-            share.end()
-        self.found.counted = sum((share.counted for share in self.shares), Counter[str]())
-        return self.found
-
-    def _parts(self):
-        with open_session(NetworkConfig(connect=(self.endpoint,))) as session:
-            keys = MapKeys("default")
-            assert within(SETTLED, lambda: len(parts(session, keys)) == len(SHARES)), "one is silent"
-            return parts(session, keys)
-
-
-def _has_all(share: Mapper, count: int) -> bool:
-    status = share.status()
-    return status["revision"] >= count and not status["scans"]["pending"]
-
-
-@contextmanager
-def _fleet(folder: Path, robots: Iterable[int], rate: float, *, starting: float = 0.0) -> Iterator[Fleet]:
-    endpoint = resolve_listen("tcp/127.0.0.1:0")
-    with ExitStack() as opening:
-        router = opening.enter_context(Service("tests.soak.router", endpoint))
-        shares = [
-            Mapper(endpoint, folder / f"share{k}", "connect", TELLING | FLAGS | {"share": k}) for k in SHARES
-        ]
-        for share in shares:
-            opening.enter_context(share)
-        for share in shares:
-            share.wait_until_ready()
-        driving = opening.enter_context(Robots(endpoint, robots, rate, within=starting))
-        fleet = Fleet(endpoint, router, shares, driving)
-        fleet.wait_for(1)
-        yield fleet
 
 
 def shares_killed(
@@ -116,10 +36,12 @@ def shares_killed(
     robots: Iterable[int],
     rate: float,
     number: signal.Signals = signal.SIGKILL,
+    cells: Cells = ALONE,
 ) -> Outcome:
     """Kill a share at random so many times, at random moments, while robots start one by one."""
     chance = random.Random(SEED)
-    with _fleet(folder, robots, rate, starting=2.0 * kills) as fleet:
+    starting = fleet_in(folder, robots, rate, cells=cells, starting=2.0 * kills)
+    with starting as fleet, Pacer(fleet):
         for _ in range(kills):
             time.sleep(chance.uniform(0.3, 1.5))
             share, before = chance.choice(fleet.shares), fleet.sent
@@ -134,7 +56,7 @@ def shares_killed(
 
 def share_frozen(folder: Path, seconds: float, *, robots: Iterable[int], rate: float) -> Outcome:
     """Freeze the share that all robots at the cuts reach for so long; meanwhile three parts are answered."""
-    with _fleet(folder, robots, rate) as fleet:
+    with fleet_in(folder, robots, rate) as fleet:
         fleet.wait_for(20)
         with fleet.shares[3].frozen():
             before = fleet.sent
@@ -148,7 +70,7 @@ def share_frozen(folder: Path, seconds: float, *, robots: Iterable[int], rate: f
 
 def shares_router_killed(folder: Path, away: float, *, robots: Iterable[int], rate: float) -> Outcome:
     """Kill the router, and start it again after so long."""
-    with _fleet(folder, robots, rate) as fleet:
+    with fleet_in(folder, robots, rate) as fleet:
         fleet.wait_for(20)
         fleet.router.end()
         before = fleet.sent
@@ -161,7 +83,7 @@ def shares_router_killed(folder: Path, away: float, *, robots: Iterable[int], ra
 def shares_robots_killed(folder: Path, *, robots: Iterable[int], rate: float) -> Outcome:
     """Kill robots and start them again, as runs of their own; what has not left one then ends with it."""
     robots = tuple(robots)
-    with _fleet(folder, robots, rate) as fleet, ExitStack() as opening:
+    with fleet_in(folder, robots, rate) as fleet, ExitStack() as opening:
         fleet.wait_for(20 * len(robots))
         before = fleet.robots.sent()
         fleet.robots.end()
@@ -200,7 +122,7 @@ def log_across_shares(
             share.wait_until_ready()
             found.away.append(_told(replaying)[0] - before)
         _, found.sent = _told(replaying)
-        within(SETTLED, lambda: all(_has_all(share, found.sent) for share in shares))
+        within(SETTLED, lambda: all(has_all(share, found.sent) for share in shares))
         revisions = [share.status()["revision"] for share in shares]
         found.integrated = max(revisions, key=lambda revision: abs(revision - found.sent))
         with open_session(NetworkConfig(connect=(endpoint,))) as session:
@@ -239,13 +161,14 @@ def _told(replaying: Service) -> tuple[int, int]:
 
 def fleets(kills: int) -> dict[str, Happens]:
     """What happens at full length, by what it is called; intel's log lies in OGM_DATASETS."""
+
+    def killed(rate: float, cells: Cells) -> Happens:
+        return partial(shares_killed, kills=kills, robots=range(100), rate=rate, cells=cells)
+
     return {
-        f"shares killed {kills} times, 100 robots at 2 Hz": partial(
-            shares_killed, kills=kills, robots=range(100), rate=2.0
-        ),
-        f"shares killed {kills} times, 100 robots at 10 Hz": partial(
-            shares_killed, kills=kills, robots=range(100), rate=10.0
-        ),
+        f"shares killed {kills} times, 100 robots at 2 Hz": killed(2.0, COUNTS),
+        f"shares killed {kills} times, 100 robots at 10 Hz": killed(10.0, COUNTS),
+        f"shares of log odds killed {kills} times, 100 robots at 10 Hz": killed(10.0, LOG_ODDS),
         f"shares stopped (SIGTERM) {kills} times, 5 robots at 20 Hz": partial(
             shares_killed, kills=kills, robots=AT_THE_CUTS, rate=20.0, number=signal.SIGTERM
         ),
