@@ -7,7 +7,7 @@ from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, may_be_refused, observe
 from ogm_core.sensor_models.one_call import OneCall
 from ogm_core.sensor_models.update_threads import UpdateThreads
-from ogm_core.shares import in_reach
+from ogm_core.shares import Reached
 from ogm_core.tiled_map import TiledMap
 from ogm_core.tiles.aging import Aging
 from ogm_core.tiles.checkpoint import NOBODY
@@ -67,14 +67,13 @@ class OccupancyGrid(TiledMap):
         What limits count does not grow by it either.
         """
         extent, settings = self._extent, self.settings
-        if extent.clip is None or extent.stretched is None or may_be_refused(placed.scan, settings):
+        if extent.clip is None or extent.stretched is None:
             return False
-        reached = in_reach(placed, self.lattice, settings.distances[2])
-        return (
-            not reached.meets(extent.clip)
-            and extent.stretched.contains(reached)
-            and extent.counted(reached) == reached
-        )
+        reached = Reached.by(placed, self.lattice, settings.distances[2])
+        if reached.meets(extent.clip) or not reached.lies_in(extent.stretched):
+            return False
+        in_bounds = extent.whole_bounds is None or reached.lies_in(extent.whole_bounds)
+        return in_bounds and not may_be_refused(placed.scan, settings)
 
     def _add_at_once(self, placed: PlacedScan) -> int | None:
         """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,9 @@ from ogm_core.types import PlacedScan, Pose
 MAX_SHARES = 1024
 """So many shares a map may have."""
 _WHOLE = 1e-6
-_FAR = 2.0 * MAX_INDEX
 _ROUNDED = 2
 """So many cells farther than `reach` a scan may write at most: its ends are rounded to cells."""
+_EDGES = np.min, np.max
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,25 +118,35 @@ def _edge(cut: float, axis: int, lattice: Lattice) -> int:
     return TILE * round(tiles)
 
 
-def in_reach(placed: PlacedScan, lattice: Lattice, reach: float) -> CellRect:
-    """The smallest rectangle of a lattice that holds every cell which a scan may write, whatever it measured.
+class Reached(NamedTuple):
+    """Where a scan may write, whatever it measured: edges in cells, not rounded; all are within."""
 
-    `reach` of the map, m: the sensor's own takes its place. Infinite: far beyond what is addressed.
-    """
-    reach = reach if placed.scan.reach is None else placed.scan.reach
-    (xmin, xmax), (ymin, ymax) = ((at, at) for at in placed.pose[:2])
-    if placed.sweep is not None:
-        (xmin, ymin), (xmax, ymax) = (edge(placed.sweep.beams[:, :2], axis=0) for edge in (np.min, np.max))
-    by = reach / lattice.resolution + _ROUNDED
-    left, right = _span(xmin, xmax, by, lattice.anchor[0], lattice.resolution)
-    bottom, top = _span(ymin, ymax, by, lattice.anchor[1], lattice.resolution)
-    return CellRect(left, bottom, right - left, top - bottom)
+    xmin: float
+    ymin: float
+    xmax: float
+    ymax: float
 
+    @classmethod
+    def by(cls, placed: PlacedScan, lattice: Lattice, reach: float) -> "Reached":
+        """`reach` of the map, m: the sensor's own takes its place."""
+        scan, (x, y, _), sweep = placed
+        resolution, (ax, ay) = lattice.resolution, lattice.anchor
+        by = (reach if scan.reach is None else scan.reach) / resolution + _ROUNDED
+        if sweep is None:
+            u, v = (x - ax) / resolution, (y - ay) / resolution
+            return cls(u - by, v - by, u + by, v + by)
+        (u0, v0), (u1, v1) = ((edge(sweep.beams[:, :2], axis=0) - (ax, ay)) / resolution for edge in _EDGES)
+        return cls(float(u0 - by), float(v0 - by), float(u1 + by), float(v1 + by))
 
-def _span(low: float, high: float, by: float, anchor: float, resolution: float) -> tuple[int, int]:
-    """First cell, and the one after the last, of an interval, m, that is widened by so many cells."""
-    first, last = (low - anchor) / resolution - by, (high - anchor) / resolution + by
-    return math.floor(max(first, -_FAR)), math.floor(min(last, _FAR)) + 1
+    def meets(self, rect: CellRect) -> bool:
+        """Whether it may write a cell of a rectangle."""
+        ix, iy, width, height = rect
+        return self.xmin < ix + width and self.xmax >= ix and self.ymin < iy + height and self.ymax >= iy
+
+    def lies_in(self, rect: CellRect) -> bool:
+        """Whether it writes no cell but those of a rectangle."""
+        ix, iy, width, height = rect
+        return self.xmin >= ix and self.xmax < ix + width and self.ymin >= iy and self.ymax < iy + height
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +169,7 @@ class Ground:
         """
         if self._holds(placed.pose):
             return "home"
-        return "border" if in_reach(placed, self.lattice, self.reach).meets(self.rect) else "elsewhere"
+        return "border" if Reached.by(placed, self.lattice, self.reach).meets(self.rect) else "elsewhere"
 
     def _holds(self, pose: Pose) -> bool:
         """Also of poses so far away that cells are not addressed there."""

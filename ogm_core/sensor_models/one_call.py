@@ -19,7 +19,7 @@ from ogm_core.sensor_models import beams, bresenham, dda
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.evidence import may_be_too_large
 from ogm_core.sensor_models.projection import beam_model, directions, read_only
-from ogm_core.tiles.extent import Extent
+from ogm_core.tiles.extent import NO_CELLS, Extent
 from ogm_core.tiles.store import TILE_BITS, TileStore
 from ogm_core.types import PlacedScan, Scan
 
@@ -45,7 +45,7 @@ class _Place(NamedTuple):
     """
 
     stretched: CellRect
-    known: CellRect
+    known: CellRect | None
     stored: CellRect
     rects: NDArray[np.int64]
 
@@ -123,13 +123,13 @@ class OneCall:
             self._sensors[kind] = _Sensor(beam, directions(*model[:2], scan.ranges.size))
 
     def _placed(self, extent: Extent, stored: CellRect) -> _Place | None:
-        """None while nothing is known."""
-        stretched, known = extent.stretched, extent.known
-        if stretched is None or known is None:
+        """None before the first scan."""
+        stretched, known, clip = extent.stretched, extent.known, extent.clip or _ANYWHERE
+        if stretched is None:
             return None
         inside = extent.bounds or stored
         window = CellRect(stored.ix, stored.iy, inside.width, inside.height)
-        rects = extent.whole_bounds or _ANYWHERE, stretched, extent.clip or _ANYWHERE, known, window
+        rects = extent.whole_bounds or _ANYWHERE, stretched, clip, known or NO_CELLS, window
         return _Place(stretched, known, stored, np.array(rects, np.int64))
 
 
@@ -179,6 +179,8 @@ def _integrate(
     kept = _shared(updated, clip)
     if not (_within(updated, stretched) and _within(kept, known) and _tiles(kept) <= room):
         return -1, 0
+    if kept[2] < 1 or kept[3] < 1:
+        return 0, 0
     inside = window[0], window[1], window[2], window[3]
     if lines is None:
         return bresenham.update_cells(ends, inside, touched, revision, cells, column, constants)

@@ -89,6 +89,15 @@ def test_it_makes_the_map_of_the_long_way(name, taken):
     assert set(taken[1::2]) == {None}
 
 
+def test_scans_that_tell_of_no_cell_within_a_clip_stretch_what_limits_count(taken):
+    grid, twin = grids(clip=Clip(xmin=640))
+    for scan, pose in scans(60):
+        assert grid.integrate(scan, pose) == twin.integrate(scan, pose) == 0
+        assert grid._extent.stretched == twin._extent.stretched
+    assert (grid._extent.known, state(grid)) == (None, state(twin))
+    assert taken[::2].count(0) > 40
+
+
 def test_a_scan_that_tells_of_new_cells_goes_the_long_way(taken):
     grid, _ = grids()
     scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([3.0, 3.0], np.float32))

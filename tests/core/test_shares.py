@@ -88,6 +88,14 @@ def test_while_it_swept_the_sensor_may_have_come_into_reach():
     assert ground(0).whose(swept) == "home"
 
 
+@pytest.mark.parametrize(("x", "whose"), [(3.2, "border"), (3.3, "elsewhere"), (1e300, "elsewhere")])
+def test_the_last_cells_that_a_scan_may_write_count(x, whose):
+    """30 cells of its reach, and two more for rounding."""
+    assert ground(1).whose(scan_at(-x, 0.0)) == whose
+    west = Ground(Clip(xmax=0), TENTH, 3.0)
+    assert west.whose(scan_at(np.nextafter(x, 0.0), 0.0)) == whose
+
+
 @pytest.mark.parametrize("sensor_model", ["beam", "sector"])
 def test_every_scan_has_one_home_and_changes_no_cell_where_it_is_elsewhere(sensor_model):
     """Random scans: what `elsewhere` says must never be wrong, nor a scan count twice."""
