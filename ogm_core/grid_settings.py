@@ -161,6 +161,11 @@ class GridSettings:
         return self._lattice_and_rect[0]
 
     @property
+    def finest_lattice(self) -> Lattice:
+        """That of the finest cells that are served of the map."""
+        return Lattice(self.resolution / self.cell_model.finest, self.lattice.anchor)
+
+    @property
     def bounds_rect(self) -> CellRect | None:
         """The cells of the map's bounds, if it has any."""
         return self._lattice_and_rect[1]

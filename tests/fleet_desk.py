@@ -17,13 +17,16 @@ CUTS = {"cuts_x": [0.0], "cuts_y": [0.0]}
 class Fleet:
     """Four fake shares on a router, the one mapper that they stand for, and gateways."""
 
-    def __init__(self, endpoint, shares=range(4)):
+    def __init__(self, endpoint, shares=range(4), **models):
+        """`models`: settings of the map as a gateway is given them, other than by default."""
         self.endpoint = endpoint
-        self.one = OccupancyGrid(SETTINGS, "one", "run")
+        self._map = {"reach": SETTINGS.reach, **models}
+        settings = Settings.model_validate({"map": self._map}).grid_settings()
+        self.one = OccupancyGrid(settings, "one", "run")
         self.rng = np.random.default_rng(5)
         self.router = open_session(NetworkConfig(listen=(endpoint,)))
         self._sessions = [self.router]
-        self.shares = [ServedShare(self.join(), FakeShare(k)) for k in shares]
+        self.shares = [ServedShare(self.join(), FakeShare(k, settings)) for k in shares]
         self._scans = 0
         self._gateways = []
 
@@ -42,7 +45,7 @@ class Fleet:
     def gateway(self, *, timeout=5.0, **shares):
         """A gateway of its own, and a client of its HTTP."""
         settings = {
-            "map": {"reach": 5.0},
+            "map": self._map,
             "network": {"map_name": "m", "connect": [self.endpoint]},
             "http": {"port": 0},
             "shares": {**CUTS, "gather_timeout": timeout, **shares},

@@ -45,13 +45,15 @@ def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet):
     fleet.shares[1].close()
     refused = (
         *("/map.yaml", "/map.pgm", "/map.png?complete=1", "/distance.png", "/inflate.png?radius=0.2"),
-        *("/raycast?x=-1&y=1&range_max=2", "/cell?x=1&y=-1"),
+        *("/raycast?x=-1&y=-1&range_max=2", "/cell?x=1&y=-1", "/inflate.png?radius=1&region=-2,-2,-0.5,0"),
+        *("/map.pgm?region=-1,-1,0.05,0", "/map.json?complete=1&region=-1,-1,0.05,0"),
     )
     for asked in refused:
         answer = http.get(asked)
         assert (answer.status_code, answer.json()["type"]) == (503, "partial-map"), asked
         assert "share 1" in answer.json()["detail"]
         assert int(answer.headers["Retry-After"]) > 0
+    assert http.get("/map.png?at=lunch").status_code == 501
     assert http.get("/map.pgm?complete=0").headers["OGM-Missing"].startswith("1;")
     assert http.get("/cell?x=-1&y=1").json()["known"] in (True, False)
     assert http.get("/readyz").status_code == 200

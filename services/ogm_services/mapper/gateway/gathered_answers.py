@@ -2,10 +2,11 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ogm_core.lattice import CellRect, Region
 from ogm_core.placing.receipts import Receipts
 from ogm_core.status import MapInfo, MissingPart, ShareState, Status
 from ogm_services.mapper.gateway.share_statuses import ShareStatuses
@@ -14,7 +15,14 @@ from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS
-from ogm_services.mapper.serving.map_parameters import CELL_X, CELL_Y, COMPLETE, COMPLETE_FIRST
+from ogm_services.mapper.serving.map_parameters import (
+    AT,
+    CELL_X,
+    CELL_Y,
+    COMPLETE,
+    COMPLETE_FIRST,
+    region_of,
+)
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.shares.gathered_map import GatheredMap
@@ -28,9 +36,9 @@ PLANNERS = frozenset({"pgm", "yaml"})
 
 
 class GatheredAnswers(Answers):
-    """Answers of a gateway: before each, every share is asked what has changed of its part. Any thread.
+    """Answers of a gateway: before each, the shares that it looks at are asked what has changed. Any thread.
 
-    Of a map of which a share is missing what is there is told, where an answer can say so. Others are
+    Of a map of which one of these is missing what is there is told, where an answer can say so. Others are
     refused.
     """
 
@@ -80,15 +88,30 @@ class GatheredAnswers(Answers):
         super().check_ready()
         self._gathering.gather()
 
-    def check_whole(self) -> None:
+    def check_whole(self, region: Region | None = None) -> None:
         """Refuse what would mislead without a part of the map.
 
         Raises:
             Starting: the gateway has not started.
             PartOfMap: a share is missing.
         """
-        self.check_ready()
-        _refuse_part(self._gathering.newest.missing)
+        self.check_started()
+        shares = self._shares_in(region)
+        _refuse_part(self._gathering.gather(shares).missing_of(shares))
+
+    def _shares_in(self, region: Region | None) -> Collection[int]:
+        """The shares that what is told of a region depends on, None: of the whole map.
+
+        Raises:
+            BadParameter: the region is inverted, empty or not finite.
+        """
+        if region is None:
+            return range(self._gathered.layout.count)
+        return self._shares_on(self._gathered.settings.lattice.cover(region))
+
+    def _shares_on(self, cells: CellRect) -> Collection[int]:
+        """The same of some cells: around them, too, as far as the model looks."""
+        return self._gathered.layout.met(cells.widened(self._gathered.settings.cell_model.margin))
 
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes: `complete`, too."""
@@ -97,27 +120,27 @@ class GatheredAnswers(Answers):
     def _map_now(self, form: str, given: Parameters) -> Answer:
         if form not in MAP_FORMATS:
             # Who follows keeps what he holds of a missing share: that has to be something.
-            state, missing = self._gathering.newest
+            state, missing = self._gathering.gather()
             _refuse_part([each for each in missing if state.parts[each.share] is None])
             return super()._map_now(form, given)
         whole = _complete(form).read(given) == "1"
         rest = {name: value for name, value in given.items() if name != COMPLETE.name}
-        state, missing = self._gathering.newest
-        if not missing:
+        shares = self._shares_in(region_of(rest))
+        found = self._gathering.gather(shares)
+        state, missing = found.state, found.missing_of(shares)
+        if not missing or AT.name in rest:
             return super()._map_now(form, rest)
         if whole:
             _refuse_part(missing)
         return self._maps.answer_of(lambda: self._gathered.partial(state, missing), form, rest)
 
     def cell(self, given: Parameters) -> Answer:
-        """One cell; refused while the share that owns it is missing."""
-        answer = super().cell(given)
-        missing = self._gathering.newest.missing
-        if missing:
-            place = self._gathered.settings.lattice.cell_of(CELL_X.read(given), CELL_Y.read(given))
-            owner = self._gathered.layout.share_of(*place)
-            _refuse_part([each for each in missing if each.share == owner])
-        return answer
+        """One cell; refused while a share is missing that it depends on."""
+        self.check_started()
+        place = self._gathered.settings.lattice.cell_of(CELL_X.read(given), CELL_Y.read(given))
+        shares = self._shares_on(CellRect(*place, 1, 1))
+        _refuse_part(self._gathering.gather(shares).missing_of(shares))
+        return super().cell(given)
 
     def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
         """The quality figures of what is there; `missing_shares` names the shares that are not."""
@@ -182,7 +205,7 @@ def _complete(form: str) -> ChoiceParameter:
     return COMPLETE_FIRST if form in PLANNERS else COMPLETE
 
 
-def _refuse_part(missing: "list[MissingShare] | tuple[MissingShare, ...]") -> None:
+def _refuse_part(missing: Sequence[MissingShare]) -> None:
     if missing:
         names = ", ".join(str(each.share) for each in missing)
         raise PartOfMap(f"share {names} of the map does not answer: ask again in a few seconds")

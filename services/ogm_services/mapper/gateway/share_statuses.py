@@ -38,7 +38,8 @@ class ShareStatuses:
     def _asked(self, service: ShareService, shares: Iterable[int], timeout: float) -> dict[int, Status]:
         found: dict[int, Status] = {}
         asked = dict.fromkeys(shares, Asked("", timeout))
-        for answer in ask_shares(self._session, self._keys, service, asked):
+        told = ask_shares(self._session, self._keys, service, asked)
+        for answer in (answer for _, answers in told for answer in answers):
             try:
                 if answer.refused:
                     raise mapper_error(service, answer.payload)

@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 from ogm_core.errors import LimitReached, NoRoom
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import CellRect, Region
+from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.separate_grid import SeparateGrid
 from ogm_core.snapshot import MapSnapshot
@@ -174,6 +174,11 @@ class LiveMap(MapWithFigures):
     def free_below(self) -> float:
         """Which probabilities mean free."""
         return self._grid.settings.cell_model.free_below
+
+    @property
+    def finest(self) -> Lattice:
+        """The lattice of the finest cells that are served."""
+        return self._grid.settings.finest_lattice
 
     @property
     def time(self) -> int | None:

@@ -3,7 +3,7 @@
 import math
 from typing import Any, Protocol
 
-from ogm_core.lattice import Region
+from ogm_core.lattice import Lattice, Region
 from ogm_core.simulation.worlds import World
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
@@ -24,6 +24,10 @@ class ServedMap(Protocol):
     @property
     def free_below(self) -> float:
         """Below which probability known cells count as free."""
+
+    @property
+    def finest(self) -> Lattice:
+        """The lattice of the finest cells that are served: fixed for the map's life."""
 
     @property
     def newest_copy(self) -> MapSnapshot | None:

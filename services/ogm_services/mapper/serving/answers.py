@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ogm_core.lattice import Region
 from ogm_core.placing.receipts import Receipts
 from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
@@ -92,12 +93,13 @@ class Answers:
         """The same before a question is answered."""
         self.check_started()
 
-    def check_whole(self) -> None:
-        """Refuse what would mislead of a map of which a part is missing: here none ever is.
+    def check_whole(self, region: Region | None = None) -> None:
+        """Refuse what would mislead without a part of a region of the map, None: of all of it; here none is.
 
         Raises:
             Starting: the mapper has not started.
         """
+        del region
         self.check_ready()
 
     @property
@@ -126,7 +128,7 @@ class Answers:
             MapEmpty: a picture of a map without a known cell.
             Busy: it is large, and there is no memory or no thread left for it.
         """
-        self.check_ready()
+        self.check_started()
         return self._map_now(form, given)
 
     def _map_now(self, form: str, given: Parameters) -> Answer:
@@ -200,7 +202,7 @@ class Answers:
         Raises:
             BadParameter: x or y is missing or is not a coordinate.
         """
-        self.check_ready()
+        self.check_started()
         check_names(given, (CELL_X, CELL_Y, FINE_FIRST))
         x, y = CELL_X.read(given), CELL_Y.read(given)
         snapshot = served(self._map.snapshot(), FINE_FIRST, given)

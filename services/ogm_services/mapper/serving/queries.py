@@ -32,10 +32,10 @@ class Queries:
         live_map: ServedMap,
         cache: AnswerCache,
         memory: AnswerMemory,
-        check_ready: Callable[[], None],
+        check_ready: Callable[[Region | None], None],
         saved: Callable[[], SavedMaps],
     ) -> None:
-        """`check_ready` refuses while the mapper starts.
+        """`check_ready` refuses while the mapper starts, and where a part of a region is missing.
 
         `saved` gives the maps that are saved, or refuses where none are.
 
@@ -55,8 +55,9 @@ class Queries:
             MapEmpty: the map has no known cell, nor bounds.
             Busy: it looks at much of a large map, and there is no memory or no thread left for it.
         """
-        self._check_ready()
-        fan, whole = Fan.read(given), self._map.snapshot().finest()
+        fan = Fan.read(given)
+        self._check_ready(fan.region)
+        whole = self._map.snapshot().finest()
         part = FanCells.of(fan, whole)
         cells = part.snapshot.rect.cells
         with self._memory.large.making(cells), self._memory.in_flight.making(_bytes_of_states(part.snapshot)):
@@ -71,9 +72,9 @@ class Queries:
             Busy: it looks at much of a large map, and there is no memory or no thread left for it.
         """
         refuse_parameters(given, "check")
-        self._check_ready()
+        asked = read_check(body, self._map.finest)
+        self._check_ready(self._map.finest.region_of(asked.rect))
         whole = self._map.snapshot().finest()
-        asked = read_check(body, whole.lattice)
         window = asked.rect.intersection(whole.rect)
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
         with self._memory.large.making(window.cells), self._memory.in_flight.making(_bytes_of_states(part)):
@@ -98,8 +99,9 @@ class Queries:
         return self._layer("inflate", form, given)
 
     def _layer(self, name: Query, form: str, given: Parameters) -> Answer:
-        self._check_ready()
         layer, region, saved_as = layer_of(name, form, given), region_of(given), AT.read(given)
+        # A cell more: what is looked at counts from whole cells on.
+        self._check_ready(_grown(region, layer.reach + self._map.finest.resolution))
         if saved_as is not None:  # it is not kept, as no answer of saved maps is
             with self._saved().opened(saved_as) as whole:
                 return self._made(layer, region, form, whole.finest())

@@ -6,6 +6,7 @@ import numpy as np
 
 from ogm_core.cells.classes import trinary
 from ogm_core.errors import BadParameter
+from ogm_core.lattice import Region
 from ogm_core.queries.ray_kernel import cast_rays
 from ogm_core.queries.rays import (
     FOUND_NOTHING,
@@ -78,6 +79,15 @@ class Fan:
             RANGE_MAX.read(given),
             UNKNOWN.read(given) == "pass",
         )
+
+    @property
+    def region(self) -> Region:
+        """What the rays may reach."""
+        point = np.array(self.point)
+        ends = np.vstack((point, point + self.range_max * directions_of(self.bearings)))
+        # Never without a width, as where all of them go along an axis.
+        low, high = np.nextafter(ends.min(axis=0), -np.inf), np.nextafter(ends.max(axis=0), np.inf)
+        return Region(*low.tolist(), *high.tolist())
 
     def cast(self, part: "FanCells") -> tuple[list[float], list[RayEnd]]:
         """Ranges, m, and how the rays end: a word of WORDS each."""

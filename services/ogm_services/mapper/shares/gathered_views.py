@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from ogm_core.lattice import Region
+from ogm_core.lattice import Lattice, Region
 from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo
 from ogm_services.mapper.live.identity import Identity
@@ -42,6 +42,11 @@ class GatheredView(MapWithFigures):
     def free_below(self) -> float:
         """See `ServedMap`."""
         return self._gathered.settings.cell_model.free_below
+
+    @property
+    def finest(self) -> Lattice:
+        """See `ServedMap`."""
+        return self._gathered.settings.finest_lattice
 
     @property
     def newest_copy(self) -> MapSnapshot | None:

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import zenoh
@@ -23,16 +23,22 @@ log = logging.getLogger(__name__)
 
 
 class Result(NamedTuple):
-    """What a gathering has found."""
+    """What gathering has found."""
 
     state: Gathered
     missing: tuple[MissingShare, ...]
 
+    def missing_of(self, shares: Collection[int]) -> tuple[MissingShare, ...]:
+        """Those of some shares that are missing."""
+        return tuple(each for each in self.missing if each.share in shares)
+
 
 class Gathering:
-    """Brings a gathered map up to date when it is asked to. Any thread; one gathers at a time.
+    """Brings a gathered map up to date, all of it or some shares, when it is asked to. Any thread.
 
-    Who waits while another gathers takes what the next gathering finds, which begins after his question.
+    Who owns what: a share is asked by one thread at a time, which alone changes what is noted of it, under
+    `_turns`. Who wants it meanwhile takes what the next question finds, which begins after his own. So a
+    share that keeps silent holds up nobody but those who want it.
     """
 
     def __init__(
@@ -49,81 +55,111 @@ class Gathering:
         self._gathered = gathered
         self._timeout = timeout
         self._clock = clock
-        self._gathering = threading.Lock()
-        self._begun = float("-inf")
+        self._shares = range(gathered.layout.count)
+        self._turns = threading.Condition()
+        self._begun = dict.fromkeys(self._shares, float("-inf"))
+        """When each share was asked last, by the clock."""
+        self._asking: set[int] = set()
+        """Those that a thread is asking now."""
         self._runs: dict[int, list[str]] = {}
         """By share, its processes in the order in which they were first heard: of two the newer counts."""
-        self._since: dict[int, int] = {}
-        """Since when shares are missing, ns since the Unix epoch."""
+        self._since = dict.fromkeys(self._shares, time.time_ns())
+        """Since when shares are missing, ns since the Unix epoch: at first all of them."""
         self._refused: dict[int, str] = {}
         """Why what a share tells is not taken."""
         self._log = LimitedLog(log)
-        self.newest = Result(gathered.state, self._all_missing())
-        """What was found last; any thread."""
 
-    def gather(self) -> Result:
-        """The map as its shares have it now, those that answer in time."""
-        asked = self._clock()
-        with self._gathering:
-            if self._begun < asked:
-                self._begun = self._clock()
-                left = asked + self._timeout - self._begun
-                self.newest = self._ask(min(max(left, LEAST), self._timeout))
-            return self.newest
+    def gather(self, shares: Collection[int] | None = None) -> Result:
+        """The map as some of its shares have it now, None: all, those that answer in time."""
+        asked, wanted = self._clock(), self._shares if shares is None else shares
+        while True:
+            with self._turns:
+                self._turns.wait_for(lambda: self._free(wanted, asked) or not self._left(wanted, asked))
+                mine = self._free(wanted, asked)
+                if not mine:
+                    return self.newest
+                begun = self._clock()
+                self._begun.update(dict.fromkeys(mine, begun))
+                self._asking.update(mine)
+            try:
+                # Who has waited for his turn has waited for those, too, that kept silent meanwhile.
+                self._ask(mine, min(max(asked + self._timeout - begun, LEAST), self._timeout))
+            finally:
+                self._end_turns(mine)
+
+    @property
+    def newest(self) -> Result:
+        """What is known now, without asking anybody."""
+        with self._turns:
+            layout = self._gathered.layout
+            missing = (
+                MissingShare(share, layout.bounds(share), since)
+                for share, since in sorted(self._since.items())
+            )
+            return Result(self._gathered.state, tuple(missing))
 
     @property
     def refused(self) -> Mapping[int, str]:
         """Why what some shares tell is not taken."""
-        return dict(self._refused)
+        with self._turns:
+            return dict(self._refused)
 
-    def _all_missing(self) -> tuple[MissingShare, ...]:
-        shares = range(self._gathered.layout.count)
-        self._since = dict.fromkeys(shares, time.time_ns())
-        return self._missing()
+    def _left(self, wanted: Collection[int], asked: float) -> list[int]:
+        """Those of some shares of which nothing newer than a question is known; `_turns` is held."""
+        return [share for share in wanted if share in self._asking or self._begun[share] < asked]
 
-    def _missing(self) -> tuple[MissingShare, ...]:
-        layout = self._gathered.layout
-        return tuple(
-            MissingShare(share, layout.bounds(share), since) for share, since in sorted(self._since.items())
-        )
+    def _free(self, wanted: Collection[int], asked: float) -> list[int]:
+        """Those of them that nobody is asking; `_turns` is held."""
+        return [share for share in self._left(wanted, asked) if share not in self._asking]
 
-    def _ask(self, silent_for: float) -> Result:
-        """Gather; those that did not answer the gathering before are waited for `silent_for` s alone."""
+    def _end_turns(self, shares: Collection[int]) -> None:
+        with self._turns:
+            self._asking.difference_update(shares)
+            self._turns.notify_all()
+
+    def _ask(self, shares: Collection[int], silent_for: float) -> None:
+        """Ask shares; those that did not answer the last time are waited for `silent_for` s alone."""
+        parts, missing = self._gathered.state.parts, {each.share for each in self.newest.missing}
         asked = {
             share: Asked(
-                f"since={part.tag}" if part else "", silent_for if share in self._since else self._timeout
+                f"since={part.tag}" if (part := parts[share]) else "",
+                silent_for if share in missing else self._timeout,
             )
-            for share, part in enumerate(self._gathered.state.parts)
+            for share in shares
         }
-        taken: dict[int, str] = {}
-        older: list[tuple[int, list[MapUpdate]]] = []
-        for answer in ask_shares(self._session, self._keys, "part", asked):
+        for share, answers in ask_shares(self._session, self._keys, "part", asked):
+            self._note(share, heard=self._take_newest(share, answers))
+            self._end_turns([share])
+
+    def _take_newest(self, share: int, answers: Sequence[ShareAnswer]) -> bool:
+        """Take what the newest process of a share has answered; whether there was any."""
+        taken, older = False, []
+        for answer in answers:
             try:
                 updates = self._read(answer)
             except OgmError as error:
-                self._refuse(answer.share, error)
+                self._refuse(share, error)
                 continue
             # Of a process that has been replaced nothing is taken, unless the other keeps silent.
-            held = self._gathered.state.parts[answer.share]
-            if held is not None and self._is_older(answer.share, updates[0].run, held.run):
-                older.append((answer.share, updates))
+            held = self._gathered.state.parts[share]
+            if held is not None and self._is_older(share, updates[0].run, held.run):
+                older.append(updates)
             else:
-                self._take(answer.share, updates, taken)
-        for share, updates in older:
-            if share not in taken:
-                self._take(share, updates, taken)
-        self._note(taken)
-        return Result(self._gathered.state, self._missing())
+                taken |= self._take(share, updates)
+        for updates in older:
+            taken = taken or self._take(share, updates)
+        return taken
 
-    def _take(self, share: int, updates: list[MapUpdate], taken: dict[int, str]) -> None:
-        """Take a part, and note in `taken` whose it is."""
+    def _take(self, share: int, updates: list[MapUpdate]) -> bool:
+        """Take a part, if it can be."""
         try:
             self._gathered.take(share, updates)
         except OgmError as error:
             self._refuse(share, error)
-        else:
-            taken[share] = updates[0].run
+            return False
+        with self._turns:
             self._refused.pop(share, None)
+        return True
 
     def _read(self, answer: ShareAnswer) -> list[MapUpdate]:
         """The messages of a part.
@@ -147,15 +183,20 @@ class Gathering:
         return held in runs and runs.index(run) < runs.index(held)
 
     def _refuse(self, share: int, error: OgmError) -> None:
-        self._refused[share] = str(error)
+        with self._turns:
+            self._refused[share] = str(error)
         if isinstance(error, OtherMap | LimitReached):
             self._log.warning(f"share {share}", f"what it tells is not taken: {error}")
 
-    def _note(self, heard: Mapping[int, str]) -> None:
-        """Note which shares are missing, and tell when that changes."""
-        for share in range(self._gathered.layout.count):
-            if share in heard and self._since.pop(share, None) is not None:
-                log.info("share %d answers", share)
-            elif share not in heard and share not in self._since:
-                self._since[share] = time.time_ns()
-                log.warning("share %d does not answer: its part of the map is missing", share)
+    def _note(self, share: int, *, heard: bool) -> None:
+        """Note whether a share is missing, and tell when that changes."""
+        with self._turns:
+            was_missing = share in self._since
+            if heard:
+                self._since.pop(share, None)
+            else:
+                self._since.setdefault(share, time.time_ns())
+        if heard and was_missing:
+            log.info("share %d answers", share)
+        elif not heard and not was_missing:
+            log.warning("share %d does not answer: its part of the map is missing", share)

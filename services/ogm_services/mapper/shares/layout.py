@@ -1,5 +1,6 @@
 """Layout of shares: which of them owns a tile of a map that is cut."""
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,9 +50,14 @@ class ShareLayout:
         rows = np.searchsorted(self.y, np.arange(bottom, bottom + rect.height // TILE), "right")
         return self._numbered(columns[:, None], rows[None, :])
 
-    def share_of(self, ix: int, iy: int) -> int:
-        """Which share owns a cell."""
-        return int(self.owners(np.array([[ix // TILE, iy // TILE]]))[0])
+    def met(self, rect: CellRect) -> frozenset[int]:
+        """Which shares own cells of a rectangle that is not empty."""
+        right, top = rect.ix + rect.width - 1, rect.iy + rect.height - 1
+        columns, rows = (
+            range(bisect_right(edges, first // TILE), bisect_right(edges, last // TILE) + 1)
+            for edges, first, last in ((self.x, rect.ix, right), (self.y, rect.iy, top))
+        )
+        return frozenset(row * (len(self.x) + 1) + column for row in rows for column in columns)
 
     def bounds(self, share: int) -> tuple[float | None, float | None, float | None, float | None]:
         """xmin, ymin, xmax and ymax of a share's rectangle, m; None where it is open."""

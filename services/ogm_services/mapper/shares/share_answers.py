@@ -40,13 +40,14 @@ class Asked(NamedTuple):
 
 def ask_shares(
     session: zenoh.Session, keys: MapKeys, service: ShareService, asked: Mapping[int, Asked]
-) -> Iterator[ShareAnswer]:
-    """Ask shares at once, and yield what comes in time, in any order.
+) -> Iterator[tuple[int, list[ShareAnswer]]]:
+    """Ask shares at once, and yield each, in any order, with what it has answered in time.
 
-    It ends as soon as every mapper that Zenoh knows has answered. Two mappers of a share both answer.
+    A share is through as soon as every mapper of it that Zenoh knows has answered: two of one share both do.
     """
     heard: _Heard = queue.SimpleQueue()
     begun, until = time.monotonic(), {}
+    answers: dict[int, list[ShareAnswer]] = {share: [] for share in asked}
     for share, (parameters, timeout) in asked.items():
         until[share] = begun + max(timeout, _AT_ONCE)
         session.get(
@@ -61,13 +62,16 @@ def ask_shares(
         try:
             share, reply = heard.get(timeout=max(max(until.values()) - time.monotonic(), _AT_ONCE))
         except queue.Empty:
-            return
+            break
         if reply is None:
-            until.pop(share, None)
+            del until[share]
+            yield share, answers[share]
         elif reply.ok is not None:
-            yield ShareAnswer(share, reply.ok.payload.to_bytes(), _told(reply.ok.attachment), refused=False)
+            body, told = reply.ok.payload.to_bytes(), _told(reply.ok.attachment)
+            answers[share].append(ShareAnswer(share, body, told, refused=False))
         elif reply.err is not None and reply.err.payload.to_bytes() != _TIMED_OUT:
-            yield ShareAnswer(share, reply.err.payload.to_bytes(), {}, refused=True)
+            answers[share].append(ShareAnswer(share, reply.err.payload.to_bytes(), {}, refused=True))
+    yield from ((share, answers[share]) for share in until)
 
 
 def _handler(heard: _Heard, share: int) -> "zenoh.handlers.Callback[zenoh.Reply]":

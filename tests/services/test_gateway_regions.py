@@ -1,0 +1,119 @@
+"""A gateway that is asked about a part of its map: it asks the shares that this meets, no others."""
+
+import threading
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from fleet_desk import Fleet, npz
+from ogm_client import MapClient
+from ogm_core.files.map_files import encode_npz
+from ogm_core.lattice import CellRect, Lattice, Region
+from ogm_core.shares import Cuts
+from ogm_services.mapper.shares.layout import ShareLayout
+
+WEST = "-3,-3,0,3"
+"""Shares 0 and 2 own it: it ends where 1 and 3 begin."""
+
+
+def test_a_region_is_whole_while_a_share_elsewhere_is_missing(fleet):
+    fleet.integrate(8)
+    _, http = fleet.gateway()
+    served = http.get(f"/map.npz?region={WEST}")
+    fleet.shares[1].close()
+    fleet.integrate(1)
+    answer = http.get(f"/map.npz?region={WEST}")
+    assert answer.content == encode_npz(fleet.one.snapshot().crop(Region(-3.0, -3.0, 0.0, 3.0)))
+    assert "OGM-Missing" not in answer.headers
+    assert answer.headers["ETag"] != served.headers["ETag"]
+    again = http.get(f"/map.npz?region={WEST}", headers={"If-None-Match": answer.headers["ETag"]})
+    assert again.status_code == 304
+    shown = http.get(f"/map.json?complete=1&region={WEST}")
+    assert shown.status_code == 200
+    assert "missing" not in shown.json()
+    assert shown.json()["epoch"] == answer.headers["OGM-Epoch"]
+    assert http.get("/map.json").json()["missing"][0]["share"] == 1
+
+
+def test_of_missing_shares_those_are_named_that_a_region_meets(fleet):
+    fleet.integrate(8)
+    _, http = fleet.gateway()
+    fleet.shares[1].close()
+    fleet.shares[2].close()
+    assert http.get("/map.png?region=-3,-3,0.1,-1").headers["OGM-Missing"].startswith("1;")
+    missing = http.get("/map.json?region=-3,-3,0.1,-1").json()["missing"]
+    assert [each["share"] for each in missing] == [1]
+    assert http.get("/map.png").headers["OGM-Missing-Bounds"].count(";") == 1
+    # As of one mapper, where a share is missing that the region does not meet.
+    assert http.get("/map.pgm?region=-3,-3,0,0").status_code == 200
+    assert http.get("/map.json?region=1,1,1,2").status_code == 400
+
+
+def test_questions_about_a_place_are_answered_while_a_share_elsewhere_is_missing(fleet):
+    fleet.integrate(8)
+    _, http = fleet.gateway()
+    asked = (
+        *("/cell?x=-0.01&y=-1", "/raycast?x=-1&y=-1&range_max=3&angle_min=3.141592653589793"),
+        *("/distance.npz?max_distance=1&region=-3,-3,-1.2,3", "/inflate.npz?radius=0.5&region=-3,-3,-1,3"),
+    )
+    points = {"points": [[-1.0, -1.0], [-2.0, 2.0]], "margin": 0.2}
+    whole = [http.get(each).content for each in asked]
+    states = http.post("/check", json=points).json()["states"]
+    fleet.shares[1].close()
+    assert [http.get(each).content for each in asked] == whole
+    assert http.post("/check", json=points).json()["states"] == states
+    for refused in ("/cell?x=0&y=-1", "/raycast?x=-1&y=-1&range_max=3", "/distance.npz?region=-3,-3,-1,3"):
+        assert http.get(refused).status_code == 503, refused
+    points["points"].append([-0.1, -1.0])
+    assert http.post("/check", json=points).status_code == 503
+
+
+def test_the_client_library_gets_a_region_while_a_share_elsewhere_is_missing(fleet):
+    fleet.integrate(8)
+    fleet.gateway()
+    fleet.shares[1].close()
+    with MapClient(map_name="m", session=fleet.join(), timeout=30.0) as client:
+        part = client.get_map(region=(-3.0, -3.0, 0.0, 3.0))
+    assert part.missing == ()
+    expected = npz(encode_npz(fleet.one.snapshot().crop(Region(-3.0, -3.0, 0.0, 3.0))))
+    assert np.array_equal(part.log_odds, expected["log_odds"], equal_nan=True)
+
+
+def test_a_share_that_keeps_silent_elsewhere_holds_up_nobody_who_asks_about_a_region(fleet):
+    fleet.integrate(4)
+    _, http = fleet.gateway(timeout=10.0)
+    fleet.shares[1].silent = True
+    found = []
+    waiting = threading.Thread(target=lambda: found.append(http.get("/map.png")))
+    waiting.start()
+    try:
+        fleet.integrate(1)
+        answer = http.get(f"/map.npz?region={WEST}")
+        assert answer.content == encode_npz(fleet.one.snapshot().crop(Region(-3.0, -3.0, 0.0, 3.0)))
+        assert not found, "the whole map is still waited for"
+    finally:
+        fleet.shares[1].close()
+        waiting.join()
+    assert found[0].headers["OGM-Missing"].startswith("1;")
+
+
+@pytest.mark.parametrize(("model", "status"), [("log_odds", 200), ("rate", 503)])
+def test_where_cells_depend_on_those_around_their_shares_are_needed_too(endpoint, model, status):
+    with closing(Fleet(endpoint, cell_model=model)) as fleet:
+        fleet.integrate(4)
+        _, http = fleet.gateway()
+        fleet.shares[1].close()
+        for asked in ("/cell?x=-0.01&y=-1", f"/map.pgm?region={WEST}"):
+            assert http.get(asked).status_code == status
+        assert http.get("/cell?x=-0.06&y=-1").status_code == 200
+
+
+def test_a_rectangle_meets_the_shares_that_own_its_cells():
+    layout = ShareLayout.of(Cuts((-6.4, 0.0, 3.2), (3.2,)), Lattice(0.05))
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        rect = CellRect(*rng.integers(-200, 150, 2).tolist(), *rng.integers(1, 200, 2).tolist())
+        ix, iy = (np.arange(low, low + size) // 64 for low, size in (rect[::2], rect[1::2]))
+        tiles = np.stack(np.meshgrid(np.unique(ix), np.unique(iy)), axis=-1).reshape(-1, 2)
+        assert layout.met(rect) == set(layout.owners(tiles).tolist())
