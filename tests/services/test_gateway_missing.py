@@ -24,6 +24,9 @@ def test_while_a_share_is_missing_the_rest_is_told_and_says_so(fleet):
     assert share == "1"
     assert abs(time.time_ns() - int(since)) < 60e9
     assert answer.headers["Cache-Control"] == "no-store"
+    for coding in ("identity", "gzip"):
+        text = http.get("/map.json", headers={"Accept-Encoding": coding})
+        assert text.headers["Vary"] == "Accept-Encoding"
     assert not {"ETag", "OGM-Epoch", "OGM-Run", "OGM-Revision"} & {name.title() for name in answer.headers}
     assert not {"etag", "ogm-epoch", "ogm-run", "ogm-revision"} & set(answer.headers)
     part = npz(answer.content)

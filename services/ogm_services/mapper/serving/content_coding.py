@@ -119,7 +119,8 @@ def _may_be_packed(start: Message) -> bool:
 def _packed(start: Message, body: Message, accepted: Accepted) -> tuple[Message, Message]:
     """A response, packed if its whole body is there, and that is accepted."""
     headers = MutableHeaders(raw=[*start["headers"]])
-    headers.add_vary_header(VARY["Vary"])
+    if VARY["Vary"] not in headers.get("vary", ""):
+        headers.add_vary_header(VARY["Vary"])
     content = body.get("body", b"")
     if not body.get("more_body", False) and goes_by_gzip(accepted, len(content)):
         content = gzipped(content)
