@@ -124,8 +124,8 @@ class RobotStatus:
         """Whether it is not to be shown any more: not alive, and silent for GONE_AFTER, or all along."""
         if self.alive:
             return False
-        if self.age_s is None:  # a robot that went without a message; or an older mapper, which knows no ages
-            return self.pose is None and not self.sources
+        if self.age_s is None:  # a robot of before a restart, or that went without a message
+            return self.pose is None
         return self.age_s > GONE_AFTER
 
 

@@ -103,7 +103,7 @@ class Desk:
 
     def check(self):
         """received = integrated + pending + dropped, and pending is what waits."""
-        scans = self.receipts.status().scans
+        scans = self.receipts.status(since_start=True).scans
         assert scans.received == self.received
         assert scans.integrated == len(self.sink.placed)
         assert scans.pending == self.received - len(self.sink.placed) - sum(scans.dropped.values()) >= 0

@@ -65,7 +65,8 @@ def nobody(
     denied = ", or does access control not let this certificate ask?" if secured else "?"
     return NobodyAnswered(
         f"no mapper of map {map_name!r} answered {where}{within}: "
-        f"is `ogm mapper` running there, with --map {map_name}{denied}"
+        "is `ogm mapper`, or `ogm gateway` if the map is cut into shares, running there, "
+        f"with --map {map_name}{denied}"
     )
 
 

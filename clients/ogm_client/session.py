@@ -112,7 +112,7 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
         try:
             return zenoh.open(settings)
         except zenoh.ZError as error:
-            failure, now = _failure(settings, error), time.monotonic()
+            failure, now = _failure(settings, error, serves=config.serves), time.monotonic()
             if not isinstance(failure, CannotConnect) or now - began >= config.connect_timeout:
                 raise failure from error
         if not told:
@@ -280,13 +280,16 @@ def _insert(settings: zenoh.Config, key: str, value: Any) -> None:  # noqa: ANN4
         ) from error
 
 
-def _failure(settings: zenoh.Config, error: zenoh.ZError) -> CannotConnect | CannotListen:
+def _failure(settings: zenoh.Config, error: zenoh.ZError, *, serves: bool) -> CannotConnect | CannotListen:
     text = masked(reason(error))
     listen, connect = masked(_endpoints(settings, "listen")), masked(_endpoints(settings, "connect"))
     if connect and (not listen or text.startswith("Unable to connect")):
+        who, start, running = "mapper", "with `ogm mapper`", "mapper or Zenoh router"
+        if serves:  # mappers and gateways meet their robots, and each other, at a router
+            who, start, running = "Zenoh router", "(`zenohd`)", "one"
         return CannotConnect(
-            f"cannot connect to {connect}: is a mapper running there? Start one with `ogm mapper`, or give "
-            f"the address of a running mapper or Zenoh router{of_certificates(connect)}"
+            f"cannot connect to {connect}: is a {who} running there? Start one {start}, or give "
+            f"the address of a running {running}{of_certificates(connect)}"
         )
     if listen:
         why = text.rpartition(": ")[2].rstrip("]")

@@ -4,20 +4,10 @@ import math
 import threading
 from collections import deque
 from collections.abc import Iterator
-from typing import NamedTuple
 
+from ogm_core.placing.robot import Skip, Skipped
 from ogm_core.placing.robots import Robots
 from ogm_core.placing.rules import MAX_ROBOTS
-
-
-class Skipped(NamedTuple):
-    """Messages that will never be taken: of poses (sensor None) or scans, from a seq to another one."""
-
-    robot: str
-    sensor: str | None
-    run: str
-    first: int
-    last: int
 
 
 class Decided:
@@ -51,12 +41,28 @@ class Decided:
             return None
         return runs.up_to(run, known.undecided(sensor, run))
 
-    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int | None = None) -> None:
+    def skip(
+        self,
+        robot: str,
+        sensor: str | None,
+        run: str,
+        first: int,
+        last: int | None = None,
+        outcome: Skip = "lost",
+        count: int | None = None,
+    ) -> None:
         """Note that the placer will never have messages, from a seq to another one: they are lost or dropped.
 
-        They are decided when the placer handles its next message, or looks who waits for too long.
+        `count` of them, None: all, were not decided before. They are decided, and part of what a state has
+        counted, when the placer handles its next message, or looks who waits for too long.
         """
-        self.skipped.append(Skipped(robot, sensor, run, first, first if last is None else last))
+        until = first if last is None else last
+        counted = until + 1 - first if count is None else count
+        self.skipped.append(Skipped(robot, sensor, run, first, until, outcome, counted))
+
+    def drop_unnumbered(self, robot: str, sensor: str, outcome: Skip) -> None:
+        """Note a scan without a number that is dropped: nothing is decided, it is counted alone."""
+        self.skipped.append(Skipped(robot, sensor, "", 0, -1, outcome, 1))
 
     def wait_on(self, robot: str, until: float) -> None:
         """Let a robot's scans wait for poses as if one had come then, s: they may come later than usual."""

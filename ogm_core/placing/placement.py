@@ -78,9 +78,9 @@ class Placement:
         else:
             self._integrated(handed)
             if whose != "home":
-                self._outcomes.receipts.scan_of_others(name, sensor, whose)
+                self._outcomes.of_others(name, sensor, whose)
                 return
-            self._outcomes.receipts.scan_integrated(name, sensor, skipped)
+            self._outcomes.integrated(name, sensor, skipped)
             self._placed(name, sensor, scan, placed.pose)
             for hint in told:
                 self._outcomes.hint(name, sensor, hint)
@@ -95,14 +95,14 @@ class Placement:
         elif refusal.by_memory:
             self._outcomes.drop_of_others(name, sensor, why)
         else:
-            self._outcomes.receipts.scan_of_others(name, sensor, whose)
+            self._outcomes.of_others(name, sensor, whose)
 
     def _failed(self, name: str, sensor: str, whose: Whose) -> None:
         """Count a scan that a bug keeps out of the map."""
         if whose == "home":
-            self._outcomes.receipts.scan_dropped(name, sensor, "failed")
+            self._outcomes.failed(name, sensor)
         else:
-            self._outcomes.receipts.scan_of_others(name, sensor, "border_dropped")
+            self._outcomes.of_others(name, sensor, "border_dropped")
 
 
 def is_ready(robot: Robot, scan: Scan) -> bool:

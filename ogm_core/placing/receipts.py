@@ -2,7 +2,9 @@
 
 import threading
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Literal, NamedTuple, get_args
 
 from ogm_core.placing.counts import RobotCounts, SensorCounts
@@ -31,6 +33,7 @@ its sensor stood. To others it may reach across the border, or is elsewhere."""
 OfOthers = Literal["border", "border_dropped", "elsewhere"]
 """What a share counts of those that are others': `border_dropped` those that may reach it and are
 missing in it, for want of memory or by a bug."""
+_NO_SENSORS: Mapping[str, SensorCounts] = MappingProxyType({})
 _MAX_RUNS_ALIVE = 64
 """Runs of a robot whose liveliness tokens are told apart; more are not heard of."""
 
@@ -53,6 +56,9 @@ class Receipts:
     messages of more are refused: counted in all, and to be handed on to nobody. A robot that is gone, by the
     times that are told (s, of one clock), makes room when it is forgotten; what was counted of it stays in
     the totals.
+
+    Scans that were decided in earlier lives of a mapper that stores its map are counted on; poses, and
+    scans that came again, are counted of this life alone.
 
     Where the map is cut into shares, a scan that is placed is integrated or dropped in its home alone; the
     other shares count it as of others: received = integrated + pending + dropped + those of others.
@@ -119,16 +125,28 @@ class Receipts:
         with self._lock:
             return self._admitted(robot, now) is not None
 
-    def restored(self, robot: str, now: float | None = None) -> bool:
+    def restored(
+        self, robot: str, now: float | None = None, sensors: Mapping[str, SensorCounts] = _NO_SENSORS
+    ) -> bool:
         """Know a robot from an earlier life of the mapper, for as long as if it had been heard now.
 
-        False if it is one too many.
+        `sensors`: what was counted then of its scans, of those that are decided. False if it is one robot too
+        many: then they count in all alone.
         """
         with self._lock:
             entry = self._admitted(robot, now)
+            for name, counts in sensors.items():
+                self._add_earlier(counts)
+                if entry is not None:
+                    entry.sensors[name] = counts.gone_on()
             if entry is not None:
                 entry.restored = True
             return entry is not None
+
+    def restored_of_gone(self, counts: SensorCounts) -> None:
+        """Count in all what was counted in earlier lives of robots that were forgotten."""
+        with self._lock:
+            self._add_earlier(counts)
 
     def gone(self, now: float) -> list[str]:
         """Robots that are not alive, and were never heard, or neither heard nor alive for FORGOTTEN_AFTER."""
@@ -210,10 +228,13 @@ class Receipts:
             self._scans.of_others[kind] += 1
             self._changing(robot, sensor).of_others[kind] += 1
 
-    def status(self, now: float | None = None) -> MessageCounts:
-        """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s."""
+    def status(self, now: float | None = None, *, since_start: bool = False) -> MessageCounts:
+        """The `scans`, `poses`, `other` and `robots` of a mapper's status, of one moment, `now` in s.
+
+        `since_start`: without what earlier lives of the mapper have counted.
+        """
         with self._lock:
-            scans = self._scans
+            scans = self._scans.since_start() if since_start else self._scans
             return MessageCounts(
                 scans=ScanCounts(
                     received=scans.received,
@@ -227,7 +248,10 @@ class Receipts:
                 ),
                 poses=PoseCounts(**{field.name: self._poses[field.name] for field in fields(PoseCounts)}),
                 other=OtherCounts(self._ignored),
-                robots={name: robot.status(now, self._in_shares) for name, robot in self._robots.items()},
+                robots={
+                    name: robot.status(now, self._in_shares, since_start=since_start)
+                    for name, robot in self._robots.items()
+                },
             )
 
     def places(self, now: float) -> dict[str, RobotStatus]:
@@ -242,6 +266,12 @@ class Receipts:
             return {
                 name: Presence(bool(robot.runs_alive), robot.heard) for name, robot in self._robots.items()
             }
+
+    def _add_earlier(self, counts: SensorCounts) -> None:
+        if self._scans.earlier is None:
+            self._scans.earlier = SensorCounts()
+        self._scans.add(counts)
+        self._scans.earlier.add(counts)
 
     def _heard(self, robot: str, now: float | None) -> RobotCounts | None:
         """Note that a message of a robot has arrived; None if it is one robot too many."""

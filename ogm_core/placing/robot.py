@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from ogm_core.placing.held import Held
 from ogm_core.placing.robot_poses import RobotPoses
@@ -15,6 +15,26 @@ from ogm_core.types import Scan
 
 MAX_GONE = 64
 """So many runs that are gone are remembered of a robot."""
+
+
+Skip = Literal["lost", "overload", "malformed"]
+"""What keeps a message from being taken."""
+
+
+class Skipped(NamedTuple):
+    """Messages that will never be taken: of poses (sensor None) or scans, from a seq to another one.
+
+    Of those without numbers `run` is "", and there are no seqs.
+    """
+
+    robot: str
+    sensor: str | None
+    run: str
+    first: int
+    last: int
+    outcome: Skip
+    scans: int
+    """How many of them were not decided before."""
 
 
 class Expected(NamedTuple):
@@ -62,13 +82,15 @@ class Robot:
             source = self.sources[sensor] = Source(f"{self.name}/{sensor}", self.held)
         return source
 
-    def skip(self, sensor: str | None, run: str, first: int, last: int) -> None:
+    def skip(self, skipped: Skipped) -> None:
         """Take messages for decided that will never come: poses, or scans of a sensor."""
+        _, sensor, run, first, last, outcome, count = skipped
         source = None if sensor is None else self.source(sensor)
         if sensor is None:
             self.seqs.skip(run, first, last)
         elif source is not None:
             source.runs.skip(run, first, last)
+            source.outcomes[outcome] += count
         seqs = range(first, last + 1)
         self.forget_expected(lambda item: (item.sensor, item.run) == (sensor, run) and item.seq in seqs)
 

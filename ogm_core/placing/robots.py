@@ -1,14 +1,16 @@
 """All robots that are known: who is let in, what all of them may hold, and their state."""
 
-from collections.abc import Callable, ItemsView, ValuesView
+from collections import Counter
+from collections.abc import Callable, ItemsView, Mapping, ValuesView
 
 from ogm_core.placing import reasons
+from ogm_core.placing.counts import SensorCounts
 from ogm_core.placing.held import Held
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.robot import Robot
 from ogm_core.placing.robot_poses import RobotPoses
 from ogm_core.placing.rules import PlacingRules
-from ogm_core.placing.state import PlacingState, RobotState
+from ogm_core.placing.state import PlacingState
 from ogm_core.placing.waiting import WaitingScans
 
 Complain = Callable[[str, str, str], None]
@@ -31,6 +33,8 @@ class Robots:
         self.held = Held()
         """What their poses, seqs and runs hold."""
         self._limit = self._may_hold = limit
+        self._gone: Counter[str] = Counter()
+        """Outcomes of scans of robots that were forgotten."""
 
     def get(self, name: str) -> Robot | None:
         """What is known of a robot."""
@@ -57,9 +61,28 @@ class Robots:
         robot.told = None
         return robot
 
+    def count(self, name: str, sensor: str, outcome: str, count: int = 1) -> None:
+        """Put down what became of scans of a source, where their seqs are, so that both are stored at once.
+
+        Not of a robot or a sensor too many.
+        """
+        robot = self._robots.get(name)
+        source = None if robot is None else robot.sources.get(sensor)
+        if robot is not None and source is not None:
+            robot.told = None
+            source.outcomes[outcome] += count
+
+    @property
+    def outcomes_of_gone(self) -> Mapping[str, int]:
+        """Outcomes of scans of robots that were forgotten; the value does not change any more."""
+        return dict(self._gone)
+
     def forget(self, name: str) -> None:
-        """Know nothing of a robot any more."""
-        self._robots.pop(name).held.clear()
+        """Know nothing of a robot any more, but for what became of its scans, in all."""
+        robot = self._robots.pop(name)
+        robot.held.clear()
+        for source in robot.sources.values():
+            self._gone += source.outcomes
         self._may_hold = self._limit
 
     def keep_within_limit(self) -> None:
@@ -86,16 +109,25 @@ class Robots:
             states[name] = robot.told
         return states
 
-    def restore(self, state: PlacingState, now: float) -> int:
-        """Know what a state says, but for robots that are too many; how many messages had come."""
-        for name, told in state.items():
-            if self._receipts.restored(name, now):
-                self._restore(name, told)
-        return max((told.head["messages"] for told in state.values()), default=0)
+    def restore(self, state: PlacingState, of_gone: Mapping[str, int], now: float) -> int:
+        """Know what a state says, but for robots that are too many; how many messages had come.
 
-    def _restore(self, name: str, told: RobotState) -> None:
-        robot = self._robots[name] = self._new(name, told.life)
-        robot.restore(told)
+        What became of scans is counted on: of those robots, and in all of `of_gone`, those that had gone.
+        """
+        self._gone.update(of_gone)
+        self._receipts.restored_of_gone(SensorCounts.of(of_gone, None))
+        for name, told in state.items():
+            robot = self._new(name, told.life)
+            robot.restore(told)
+            sensors = {
+                sensor: SensorCounts.of(source.outcomes, source.last)
+                for sensor, source in robot.sources.items()
+                if source.last is not None or source.outcomes
+            }
+            self._robots[name] = robot
+            if not self._receipts.restored(name, now, sensors):
+                self.forget(name)
+        return max((told.head["messages"] for told in state.values()), default=0)
 
     def _new(self, name: str, life: int) -> Robot:
         held = Held(self.held)

@@ -1,7 +1,8 @@
 """Pose lookup and order of scans, as tf's message filter does: from messages to the map."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from ogm_core.placing import reasons
 from ogm_core.placing.decided import Decided
@@ -23,6 +24,7 @@ from ogm_core.types import PlacedScan, Pose, PoseStamped, Scan
 ROBOTS = "robots"
 """Source of complaints about robots of which nothing is kept, be they ever so many."""
 
+_NOTHING: Mapping[str, int] = MappingProxyType({})
 RECENT_NS = 10_000_000_000
 """A robot whose newest stamp is older than another's by no more than that has been heard of lately."""
 
@@ -71,7 +73,7 @@ class ScanPlacer:
         self._messages = 0
         self._limits = limits
         self._other_robots = other_robots if other_robots is not None and other_robots.rules else None
-        self._outcomes = Outcomes(receipts, complain)
+        self._outcomes = Outcomes(receipts, self._robots, complain)
         self._placement = Placement(
             *(sink_of or (lambda _: sink), self._robots, self._outcomes, self._hints, integrated),
             *(self._other_robots, placed, whose),
@@ -143,6 +145,7 @@ class ScanPlacer:
             self._outcomes.refuse(name, sensor, name, reasons.too_many_sensors(sensor))
             return
         self._receipts.scan_taken(name, sensor, scan.run, scan.seq)
+        source.last = scan.run, scan.seq
         for hint in self._hints.look(source.name, scan):
             self._outcomes.hint(name, sensor, hint)
         expected = robot.take_expected(sensor, scan) if robot.expected else None
@@ -223,22 +226,29 @@ class ScanPlacer:
         self._take_skipped()
         return self._robots.state(self._messages)
 
-    def restore(self, state: PlacingState, now: float = 0.0) -> None:
+    @property
+    def outcomes_of_gone(self) -> Mapping[str, int]:
+        """What became of scans of robots that were forgotten; goes with a state."""
+        return self._robots.outcomes_of_gone
+
+    def restore(
+        self, state: PlacingState, now: float = 0.0, *, outcomes_of_gone: Mapping[str, int] = _NOTHING
+    ) -> None:
         """Go on from a state, in a placer that has had no message: scans that waited are expected again.
 
         Robots that are too many are left out.
         """
-        self._messages = self._robots.restore(state, now)
+        self._messages = self._robots.restore(state, outcomes_of_gone, now)
         if self._other_robots is not None:
             for name in state:
                 self._other_robots.moved(name)
 
     def _take_skipped(self, now: float | None = None) -> None:
         """Take the messages for decided that will never come."""
-        for name, sensor, run, first, last in self.decided.taken():
-            robot = self._robots.touched(name, now, self._messages)
+        for skipped in self.decided.taken():
+            robot = self._robots.touched(skipped.robot, now, self._messages)
             if robot is not None:
-                robot.skip(sensor, run, first, last)
+                robot.skip(skipped)
 
     def _forget(self, name: str, now: float) -> None:
         """Forget a robot that is gone: should it come back, all begins anew for it."""

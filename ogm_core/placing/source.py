@@ -1,5 +1,6 @@
 """Scans of one sensor: which were seen already, of which run they are, and whether their clock goes back."""
 
+from collections import Counter
 from typing import Any
 
 from ogm_core.placing.held import Held
@@ -32,6 +33,10 @@ class Source:
         """Runs whose scans came before those of `run`, the one heard last at the end."""
         self.runs = Runs(held)
         """Seqs of the scans that were taken, and of those that never will be."""
+        self.outcomes: Counter[str] = Counter()
+        """What became of them, and of other scans: those that are decided, since the map was made."""
+        self.last: tuple[str, int] | None = None
+        """Run and seq of the one that came last."""
         self._began = False
         """Whether a scan was ever taken."""
         self._newest: int | None = None
@@ -108,6 +113,8 @@ class Source:
             "newest": self._newest,
             "history": self._history,
             "runs": self.runs.state(),
+            "outcomes": dict(self.outcomes),
+            "last": self.last,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -116,3 +123,7 @@ class Source:
         self.replaced = list(state["replaced"])
         self._began, self._newest, self._history = state["began"], state["newest"], state["history"]
         self.runs.restore(state["runs"])
+        # An older program stores neither.
+        self.outcomes.update(state.get("outcomes", {}))
+        last = state.get("last")
+        self.last = None if last is None else (last[0], last[1])

@@ -18,6 +18,8 @@ import numpy as np
 from ogm_core.errors import BadInput
 from ogm_core.placing.pose_history import HistoryState
 
+OF_GONE = "/gone"
+"""Key of the outcomes of scans of robots that were forgotten; no robot has an empty name."""
 VERSION = 1
 """Of the form of the bytes."""
 CHUNK = 256
@@ -65,13 +67,22 @@ class StateParts:
     A robot's first part has its name as key, "r"; chunks of its poses have "r/0", "r/1", ...
     """
 
-    def __init__(self, before: PlacingState | None = None) -> None:
-        """`before`: the state of which all parts are there already."""
+    def __init__(self, before: PlacingState | None = None, of_gone: Mapping[str, int] | None = None) -> None:
+        """`before`: the state of which all parts are there already, `of_gone`: the outcomes in OF_GONE."""
+        self._of_gone = dict(of_gone or {})
         self._marks = {name: _mark(state) for name, state in (before or {}).items()}
 
-    def changes(self, state: PlacingState) -> dict[str, bytes | None]:
-        """The parts that are to be put, by key, and None where one is to be taken away."""
+    def changes(
+        self, state: PlacingState, of_gone: Mapping[str, int] | None = None
+    ) -> dict[str, bytes | None]:
+        """The parts that are to be put, by key, and None where one is to be taken away.
+
+        `of_gone`: outcomes of scans of robots that were forgotten, if that may have changed.
+        """
         parts: dict[str, bytes | None] = {}
+        if of_gone is not None and of_gone != self._of_gone:
+            self._of_gone = dict(of_gone)
+            parts[OF_GONE] = msgpack.packb(self._of_gone)
         marks = {name: _mark(robot) for name, robot in state.items()}
         for name, before in self._marks.items():
             if name not in marks:
@@ -146,6 +157,19 @@ def state_of(parts: Mapping[str, bytes]) -> dict[str, RobotState]:
                 f"placing state of robot {name}: it is damaged, or parts of it are missing"
             ) from error
     return robots
+
+
+def outcomes_of_gone(parts: Mapping[str, bytes]) -> dict[str, int]:
+    """What became of scans of robots that were forgotten; nothing where no part tells.
+
+    Raises:
+        BadState: the part is not what is written here.
+    """
+    try:
+        counts = msgpack.unpackb(parts[OF_GONE]) if OF_GONE in parts else {}
+        return {str(outcome): int(count) for outcome, count in counts.items()}
+    except (ValueError, TypeError, AttributeError, msgpack.UnpackException) as error:
+        raise BadState("what was counted of robots that were forgotten is damaged") from error
 
 
 def _robot_of(serial: int, name: str, part: bytes, parts: Mapping[str, bytes]) -> RobotState:

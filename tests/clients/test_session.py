@@ -167,6 +167,12 @@ def test_a_host_that_a_name_server_may_know_later_is_waited_for(names):
         open_session(NetworkConfig(connect=("tcp/later.example:1",), connect_timeout=0.1))
 
 
+def test_a_mapper_or_a_gateway_is_told_to_look_for_a_router(endpoint):
+    with pytest.raises(CannotConnect, match=f"{endpoint}: is a Zenoh router running there") as refused:
+        open_session(NetworkConfig(connect=(endpoint,), connect_timeout=0.1, serves=True))
+    assert "ogm mapper" not in str(refused.value)
+
+
 def test_who_is_told_to_wait_says_once_for_what(endpoint, caplog, eventually):
     opened = []
     config = NetworkConfig(connect=(endpoint,), connect_timeout=math.inf)

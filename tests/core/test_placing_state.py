@@ -2,7 +2,7 @@
 
 import random
 import struct
-from collections import Counter
+from dataclasses import replace
 from itertools import islice
 
 import msgpack
@@ -11,7 +11,7 @@ import pytest
 from journeys import DOUBTFUL, SAFE, Journey
 from mapper_desk import MS, T0, Desk, Sink
 from ogm_core.placing.rules import FORGOTTEN_AFTER, MAX_ROBOTS
-from ogm_core.placing.state import CHUNK, VERSION, BadState, StateParts, state_of
+from ogm_core.placing.state import CHUNK, VERSION, BadState, StateParts, outcomes_of_gone, state_of
 from ogm_core.types import Pose
 
 
@@ -41,9 +41,9 @@ class Life:
     def __init__(self, parts=()):
         self.desk = QuickDesk(BitSink())
         self.stored = dict(parts)
-        state = state_of(self.stored)
-        self.desk.placer.restore(state)
-        self.writer = StateParts(self.desk.placer.state())
+        state, of_gone = state_of(self.stored), outcomes_of_gone(self.stored)
+        self.desk.placer.restore(state, outcomes_of_gone=of_gone)
+        self.writer = StateParts(self.desk.placer.state(), of_gone)
 
     def hand(self, n, entry):
         """Message n of all robots' journeys: a robot's name and its message."""
@@ -70,7 +70,8 @@ class Life:
 
     def store(self):
         """Put what has changed of the state into the parts that are stored."""
-        for key, value in self.writer.changes(self.desk.placer.state()).items():
+        placer = self.desk.placer
+        for key, value in self.writer.changes(placer.state(), placer.outcomes_of_gone).items():
             if value is None:
                 del self.stored[key]
             else:
@@ -84,6 +85,17 @@ class Life:
         return sorted(self.desk._tags[scan] for scan in waiting)
 
     @property
+    def counted(self):
+        """What became of scans, in all and of every source, in this life and those before."""
+        told = self.desk.receipts.status()
+        sources = {
+            (name, sensor): replace(counts, hints=[], run="", last_seq=None)
+            for name, robot in told.robots.items()
+            for sensor, counts in robot.sources.items()
+        }
+        return told.scans, sources
+
+    @property
     def placed(self):
         """Every call to the sink: which message, and where, bit for bit."""
         return list(zip(self.desk.tags, self.desk.sink.calls, strict=True))
@@ -93,23 +105,23 @@ def uninterrupted(messages):
     life = Life()
     for n, message in enumerate(messages):
         life.hand(n, message)
-    return life.placed, Counter(life.desk.dropped)
+    return life.placed, life.counted
 
 
 def interrupted(messages, cuts, looks):
     """The same of lives that end at the cuts; the state is stored at each cut, and at looks, too."""
-    life, placed, dropped = Life(), [], Counter()
+    life, placed = Life(), []
     for n, message in enumerate(messages):
         life.hand(n, message)
         if n in looks:
             life.store()
         if n in cuts:
             parts, again = life.store(), life.undecided
-            placed, dropped = placed + life.placed, dropped + Counter(life.desk.dropped)
+            placed += life.placed
             life = Life(parts)
             for m in again:
                 life.hand(m, messages[m])
-    return placed + life.placed, dropped + Counter(life.desk.dropped)
+    return placed + life.placed, life.counted
 
 
 def check(messages, seed):
@@ -346,3 +358,58 @@ def test_the_first_scan_of_another_run_waits_for_a_pose_in_another_life_too():
         assert each.order[placed:] == []
         each.pose(300, run="a", seq=3)
         assert each.order[placed:] == [7]
+
+
+def test_what_was_counted_is_stored_with_what_is_decided():
+    """Scans in the map, dropped before they were read, lost, and of a robot that is forgotten by then."""
+    life = Life()
+    desk, decided = life.desk, life.desk.placer.decided
+    drive(desk, "q", 2)
+    desk.scan(50, run="a", seq=0, robot="q").scan(50, run="a", seq=0, robot="q")
+    drive(desk, "r", 2)
+    desk.scan(50, run="a", seq=0)
+    decided.skip("r", "s", "a", 1, 3, "overload")
+    decided.skip("r", "s", "a", 4, 9, "lost", count=5)  # one of them was decided before
+    decided.drop_unnumbered("r", "s", "malformed")
+    decided.skip("r", None, "a", 5, 9)
+    desk.scan(500, run="a", seq=10)  # which waits, and is counted when it comes again
+    desk.now = FORGOTTEN_AFTER + 1
+    desk.pose(200, run="a", seq=2)
+    desk.placer.expire(desk.now)
+    again = Life(life.store())
+    scans, _ = again.counted
+    assert (scans.received, scans.integrated, scans.pending, scans.lost) == (7, 2, 0, 5)
+    dropped = {"overload": 3, "malformed": 1}
+    assert {reason: count for reason, count in scans.dropped.items() if count} == dropped | {"duplicate": 1}
+    of_r = again.desk.receipts.status().robots["r"].sources["s"]
+    assert (of_r.run, of_r.last_seq) == ("a", 10)
+    assert (of_r.received, of_r.integrated, of_r.dropped, of_r.lost) == (5, 1, dropped, 5)
+    again.hand(0, ("r", ("scan", "a", 10, T0 + 500 * MS, "s", [0, 0])))
+    now = again.desk.receipts.status(since_start=True)
+    assert (now.scans.received, now.scans.pending, now.scans.integrated, now.scans.lost) == (1, 1, 0, 0)
+    assert now.robots["r"].sources["s"].received == 1
+    assert now.robots["r"].sources["s"].dropped == {}
+    assert again.counted[0].received == 8
+    third = Life(again.store())
+    assert third.counted[0] == scans
+
+
+def test_counts_that_an_older_program_has_not_stored_begin_anew():
+    desk = Desk()
+    drive(desk, "r", 2)
+    desk.scan(50, run="a", seq=0)
+    (told,) = desk.placer.state().values()
+    head = dict(told.head)
+    for name in ("outcomes", "last"):
+        del head["sources"]["s"][name]
+    again = Desk()
+    again.placer.restore({"r": replace(told, head=head)})
+    status = again.receipts.status()
+    assert (status.scans.received, status.robots["r"].sources) == (0, {})
+    again.scan(50, run="a", seq=0)
+    assert again.dropped == {"duplicate": 1}
+
+
+def test_damaged_counts_of_robots_that_are_gone_are_refused():
+    with pytest.raises(BadState, match="counted of robots that were forgotten is damaged"):
+        outcomes_of_gone({"/gone": b"\x01"})

@@ -23,7 +23,7 @@ HERE = Pose(0.0, 0.0, 0.0)
         (RobotStatus(HERE, 1, alive=False, age_s=60.1), True),
         (RobotStatus(None, None), True),
         (RobotStatus(HERE, 1), False),  # an older mapper does not say
-        (RobotStatus(None, None, sources={"s": SourceStatus("", 1, 1, 0, 0)}), False),
+        (RobotStatus(None, None, sources={"s": SourceStatus("", 1, 1, 0, 0)}), True),  # of before a restart
     ],
 )
 def test_a_robot_is_gone_a_minute_after_its_last_message(robot, gone):

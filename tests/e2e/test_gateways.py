@@ -123,7 +123,12 @@ def test_shares_frozen_killed_and_started_again_and_a_gateway_that_is_killed(fle
         fleet.shares[1].start()
         fleet.shares[1].wait_until_ready()
         eventually(lambda: fleet.has_all(first) and fleet.has_all(second), SETTLED)
-        assert first.get("/status").json()["scans"]["lost"] == 0
+        # What the share that was killed has counted goes on with its map: the sums are those of all scans.
+        status = eventually(lambda: (told := first.get("/status").json())["complete"] and told, SETTLED)
+        assert status["scans"]["integrated"] == status["scans"]["received"] == len(SCANS)
+        assert (status["scans"]["lost"], status["scans"]["pending"]) == (0, 0)
+        source = status["robots"]["robot1"]["sources"]["scan"]
+        assert (source["received"], source["integrated"]) == (len(SCANS), len(SCANS))
 
         fleet.gateways[0].end(signal.SIGTERM)
         assert client.get_map().missing == ()  # by the other gateway

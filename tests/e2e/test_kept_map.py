@@ -24,12 +24,13 @@ def started(ogm, data, *flags):
 
 def drive(mapper, eventually, first, last, sweep=0):
     """Scans first to last, each with a pose at its stamp in a message of its own."""
+    before = mapper.status()["scans"]["integrated"]
     with RobotPublisher("r1", address=mapper.endpoint, run=f"drive{sweep}") as robot:
         robot.wait_for_mapper(30.0)
         for k in range(first, last):
             robot.publish_pose(0.05 * k, 0.0, 0.1 * k, stamp=STAMP + k * 10**8)
             robot.publish_scan([2.0 + 0.01 * k] * 20, **SWEEP, stamp=STAMP + k * 10**8)
-        eventually(lambda: mapper.status()["scans"]["integrated"] == last - first)
+        eventually(lambda: mapper.status()["scans"]["integrated"] == before + last - first)
 
 
 def served(mapper):

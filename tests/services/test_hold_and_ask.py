@@ -67,7 +67,10 @@ class Recorder:
     def last(self, robot, sensor, run):
         return self.up_to.get((sensor, run))
 
-    def skip(self, robot, sensor, run, first, last):
+    def drop_unnumbered(self, robot, sensor, outcome):
+        pass
+
+    def skip(self, robot, sensor, run, first, last, outcome="lost", count=None):
         self.skipped.append((sensor, run, first, last))
 
     def wait_on(self, robot, until):

@@ -32,6 +32,7 @@ class Decided:
 
     def __init__(self, **up_to):
         self.seqs = {(sensor, "a"): set(range(last + 1)) for sensor, last in up_to.items()}
+        self.dropped = []
 
     def is_decided(self, robot, sensor, run, seq):
         return seq in self.seqs.get((sensor, run), ())
@@ -43,8 +44,13 @@ class Decided:
     def wait_on(self, robot, until):
         pass
 
-    def skip(self, robot, sensor, run, first, last):
+    def drop_unnumbered(self, robot, sensor, outcome):
+        self.dropped.append(outcome)
+
+    def skip(self, robot, sensor, run, first, last, outcome="lost", count=None):
         self.seqs.setdefault((sensor, run), set()).update(range(first, last + 1))
+        if sensor is not None:
+            self.dropped += [outcome] * (last + 1 - first if count is None else count)
 
 
 class Placer:
@@ -146,11 +152,11 @@ def test_what_was_decided_is_neither_received_nor_queued(published, subscribed, 
 
 def test_what_a_mapper_dropped_or_could_not_read_is_decided():
     decided, receipts = Decided(), Receipts()
-    queue = ScanQueue(2, dropping=skipping(decided))
+    queue = ScanQueue(2, dropping=skipping(decided, "overload"))
     for seq in range(5):
         queue.put(Message(Source("r", "s"), scan(seq), 0.0))
     assert decided.seqs["s", "a"] == {0, 1, 2}
-    worker = Worker(queue, Placer(decided), receipts, max_beams=2, malformed=skipping(decided))
+    worker = Worker(queue, Placer(decided), receipts, max_beams=2, malformed=skipping(decided, "malformed"))
     worker.start()
     queue.put(Message(Source("r", None), b"bad", 0.0))
     deadline = time.monotonic() + 30.0
@@ -158,6 +164,7 @@ def test_what_a_mapper_dropped_or_could_not_read_is_decided():
         time.sleep(0.01)
     worker.stop()
     assert decided.seqs == {("s", "a"): {0, 1, 2, 3, 4}}
+    assert decided.dropped == ["overload"] * 3 + ["malformed"] * 2
 
 
 def scan(seq):

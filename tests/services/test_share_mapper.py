@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from contextlib import ExitStack
 
 import httpx
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from gathering import gathered, parts, tiles_of, tiles_of_grid
+from ogm_client import MapClient, MapperError
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -161,9 +163,17 @@ def check_http(http):
     assert http.get("/status").json()["share"]["index"] == 1
     assert http.get("/readyz").status_code == 200
     assert 'ogm_scans_of_others_total{kind="border",map="hall"} 1.0' in http.get("/metrics").text
-    for path in ("/map.png", "/map.yaml", "/tiles.json", "/cell?x=0&y=0", "/quality", "/ws"):
-        assert http.get(path).status_code == 404, path
+    which = "this is share 1 of 2 of map 'hall', which gateways serve: ask a gateway (`ogm gateway`)"
+    for path in ("/map.png", "/map.yaml", "/tiles.json", "/cell", "/quality", "/ws"):
+        refused = http.get(path)
+        assert (refused.status_code, refused.headers["Content-Type"]) == (404, "application/problem+json")
+        assert refused.json()["detail"] == f"{path} is not here: {which}"
     assert http.post("/reset").status_code == 404
+    with MapClient(str(http.base_url)) as client:
+        assert client.status().share.index == 1
+        for ask in (client.get_map, lambda: client.fetch("map.png"), lambda: client.save_snapshot("monday")):
+            with pytest.raises(MapperError, match=re.escape(which)):
+                ask()
 
 
 def test_a_second_mapper_of_the_same_share_ends(shares, start_mapper):

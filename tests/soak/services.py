@@ -91,7 +91,10 @@ class Mapper(Service):
         )
         self.log_file = folder.with_suffix(".log")
         self.runs: set[str] = set()
-        self.counted: Counter[str] = Counter()
+        self._ended: Counter[str] = Counter()
+        """Of lives that are over, what each counts anew."""
+        self._scans: Counter[str] = Counter()
+        """Scans that were dropped or lost, in this life and those before."""
         self._life: Counter[str] = Counter()
         self._url = ""
         self._closing = ExitStack()
@@ -113,9 +116,8 @@ class Mapper(Service):
         status = httpx.get(f"{self._url}status", timeout=60.0).raise_for_status().json()
         scans = status["scans"]
         poses = {f"poses {name}": count for name, count in status["poses"].items() if name != "received"}
-        self._life = Counter(
-            {**scans["dropped"], **poses, "scans lost": scans["lost"], "scans replayed": scans["replayed"]}
-        )
+        self._life = Counter({**poses, "scans replayed": scans["replayed"]})
+        self._scans = Counter({**scans["dropped"], "scans lost": scans["lost"]})
         return status
 
     @property
@@ -145,6 +147,11 @@ class Mapper(Service):
         robots = self.status()["robots"]
         return {int(name[5:]): robot["sources"][SENSOR]["last_seq"] + 1 for name, robot in robots.items()}
 
+    @property
+    def counted(self) -> Counter[str]:
+        """What its lives have counted, but for this one's poses and scans that came again."""
+        return self._ended + self._scans
+
     def map(self) -> tuple[bytes, int]:
         """Its /map.npz, and the revision of that."""
         answer = httpx.get(f"{self._url}map.npz", timeout=60.0).raise_for_status()
@@ -159,7 +166,7 @@ class Mapper(Service):
     def _close(self) -> None:
         super()._close()
         self._closing.close()
-        self.counted += self._life
+        self._ended += self._life
         self._life.clear()
 
 

@@ -126,7 +126,8 @@ class Parts:
         limits, grid_settings = self.limits, self.grid_settings
         sizes = ScanSizes(grid_settings, SensorRules(settings.sensor_rules()))
         self.queue = queue = ScanQueue(
-            *(limits.queue_scans, sizes.cells, limits.queue_bytes), dropping=lambda *message: skip(*message)
+            *(limits.queue_scans, sizes.cells, limits.queue_bytes),
+            dropping=lambda *message: overloaded(*message),
         )
         """Zenoh's threads put, the worker takes."""
         self.metrics = self._metrics()
@@ -149,7 +150,7 @@ class Parts:
             sink_of=sink.of if grid_settings.separate_robots else None,
         )
         """The worker's; what it has decided, any thread asks."""
-        skip = skipping(placer.decided)
+        overloaded = skipping(placer.decided, "overload")
         self.memory.add("queue", lambda: queue.bytes, limits.queue_bytes)
         self.memory.add("waiting", lambda: placer.waiting_bytes, limits.waiting_bytes)
         self.memory.add("robots", lambda: placer.robots_bytes, limits.robots_bytes)
@@ -160,7 +161,7 @@ class Parts:
             kept.go_on(self.live_map, grid_settings, self.run, placer)
         self.in_step = InStep(placer.recent_robots()) if robot_rules else None
         """Any thread; None where the order between robots does not matter."""
-        self.worker = self._worker(settings, malformed=skip)
+        self.worker = self._worker(settings, malformed=skipping(placer.decided, "malformed"))
         """A thread, which alone writes the map."""
 
     def _whose(self) -> Callable[[PlacedScan], Whose] | None:

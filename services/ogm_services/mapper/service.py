@@ -196,7 +196,7 @@ class MapperService:
 
     def totals(self) -> str:
         """What became of the scans, and how long that took, in words."""
-        scans, seconds = self.parts.receipts.status().scans, time.monotonic() - self._started
+        scans, seconds = self.parts.receipts.status(since_start=True).scans, time.monotonic() - self._started
         dropped = ", ".join(f"{count} {reason}" for reason, count in scans.dropped.items() if count)
         return (
             f"{scans.received} scans received, {scans.integrated} integrated, {scans.pending} pending, "

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from ogm_core.placing.receipts import Receipts
+from ogm_core.placing.robot import Skip
 from ogm_core.ros2.mcap_recording import McapWriter, NoChannelLeft
 from ogm_core.types import PoseStamped, Scan
 from ogm_services.mapper.intake.handing_on import Placing
@@ -30,8 +31,20 @@ class NothingDecided:
         """None."""
         return None
 
-    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
+    def skip(
+        self,
+        robot: str,
+        sensor: str | None,
+        run: str,
+        first: int,
+        last: int,
+        outcome: Skip = "lost",
+        count: int | None = None,
+    ) -> None:
         """Nothing waits for what will not come."""
+
+    def drop_unnumbered(self, robot: str, sensor: str, outcome: Skip) -> None:
+        """Nothing is stored of what is dropped."""
 
     def wait_on(self, robot: str, until: float) -> None:
         """No scan waits for its poses here."""

@@ -150,6 +150,10 @@ class GatheredAnswers(Answers):
         missing = self._gathering.newest.missing
         return figures | {"missing_shares": [each.described() for each in missing]} if missing else figures
 
+    def status_since_start(self) -> Status:
+        """Its status: sums of what shares have counted, who may have been started again."""
+        return self.current_status()
+
     def _new_status(self) -> Status:
         statuses = self._share_statuses()
         sums, (state, missing) = summed(statuses), self._gathering.newest

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
+from ogm_core.placing.robot import Skip
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import Source
@@ -19,8 +20,24 @@ class Decided(Protocol):
         """The highest seq up to which all are decided; None if none is."""
         ...
 
-    def skip(self, robot: str, sensor: str | None, run: str, first: int, last: int) -> None:
-        """Note that messages, from a seq to another one, will never be taken: they are decided by that."""
+    def skip(
+        self,
+        robot: str,
+        sensor: str | None,
+        run: str,
+        first: int,
+        last: int,
+        outcome: Skip = "lost",
+        count: int | None = None,
+    ) -> None:
+        """Note that messages, from a seq to another one, will never be taken: they are decided by that.
+
+        `count` of them, None: all, were not before.
+        """
+        ...
+
+    def drop_unnumbered(self, robot: str, sensor: str, outcome: Skip) -> None:
+        """Note that a scan without a number is dropped."""
         ...
 
     def wait_on(self, robot: str, until: float) -> None:
@@ -60,13 +77,15 @@ class Placing(Protocol):
         ...
 
 
-def skipping(decided: Decided) -> Callable[[Source, bytes], None]:
-    """What notes of a message, by its source and payload, that it will never be taken, if it has a number."""
+def skipping(decided: Decided, outcome: Skip) -> Callable[[Source, bytes], None]:
+    """What notes of a message, by its source and payload, that it is dropped, and will never be taken."""
 
     def skip(source: Source, payload: bytes) -> None:
         head = read_head(payload)
         if head is not None and head[2]:
-            decided.skip(*source, head[2], head[1], head[1])
+            decided.skip(*source, head[2], head[1], head[1], outcome)
+        elif source.sensor is not None:
+            decided.drop_unnumbered(source.robot, source.sensor, outcome)
 
     return skip
 

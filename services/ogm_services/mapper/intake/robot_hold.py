@@ -312,6 +312,8 @@ class RobotHold:
                 gone.command()
             elif gone.head is None or not gone.head[2]:
                 self._intake.lost(gone.source, 1, "", range(0))  # nobody would miss it
+                if gone.source.sensor is not None:
+                    self._decided.drop_unnumbered(gone.source.robot, gone.source.sensor, "lost")
 
     def _give_up(self, source: Source, run: str, seqs: range) -> None:
         """Count what is missing for good, but for what was decided in an earlier life."""
@@ -322,4 +324,4 @@ class RobotHold:
             count -= sum(self._decided.is_decided(*source, run, seq) for seq in seqs)
         if count:
             self._intake.lost(source, count, run, seqs)
-            self._decided.skip(*source, run, seqs[0], seqs[-1])
+            self._decided.skip(*source, run, seqs[0], seqs[-1], count=count)

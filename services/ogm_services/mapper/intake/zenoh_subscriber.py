@@ -90,6 +90,8 @@ class ZenohSubscriber:
         if length > self._reception.longest(source):
             self._reception.refuse_long(source, length)
             self.hold.unread(source)
+            if source.sensor is not None:
+                self._placer.decided.drop_unnumbered(source.robot, source.sensor, "malformed")
         else:
             self.hold.take(source, sample.payload.to_bytes(), time.monotonic())
 

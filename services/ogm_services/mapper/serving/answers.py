@@ -4,6 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from ogm_core.lattice import Region
@@ -248,6 +249,11 @@ class Answers:
         """The mapper's status, not encoded: the same that `status` answers with."""
         self.check_ready()
         return self._status.get().status
+
+    def status_since_start(self) -> Status:
+        """The same with the counts of this process alone: what is told Prometheus begins anew with it."""
+        counts = self._receipts.status(time.monotonic(), since_start=True)
+        return replace(self.current_status(), scans=counts.scans, robots=counts.robots)
 
     def _new_status(self) -> Status:
         counts = self._receipts.status(time.monotonic())

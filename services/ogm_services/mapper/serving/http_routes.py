@@ -46,6 +46,7 @@ from ogm_services.replies.in_flight import InFlight
 from ogm_services.replies.problems import MEDIA_TYPE, problem, slug_of
 from ogm_services.replies.turns import Turns
 
+NOT_FOUND = 404
 METHOD_NOT_ALLOWED = 405
 
 log = logging.getLogger(__name__)
@@ -111,7 +112,7 @@ def build_share_app(
     add_get(app, "/", show_what, named)
     _add_status_route(app, threads.status, answers)
     _add_service_routes(app, threads.status, answers, health, metrics)
-    return _finished(app, access)
+    return _finished(app, access, elsewhere=f"this is {what}: ask a gateway (`ogm gateway`)")
 
 
 def _begun(
@@ -142,12 +143,15 @@ def _begun(
     return app, ready
 
 
-def _finished(app: FastAPI, access: HttpAccess) -> FastAPI:
-    """The application with all of its routes, described, and with answers for what goes wrong."""
+def _finished(app: FastAPI, access: HttpAccess, elsewhere: str = "") -> FastAPI:
+    """The application with all of its routes, described, and with answers for what goes wrong.
+
+    `elsewhere` says where there is more than its routes.
+    """
     describe(app)
     check_root_path(access.root_path, app.routes, "http.root_path")
     app.add_exception_handler(OgmError, _ogm_error)
-    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(HTTPException, partial(_http_error, elsewhere))
     app.add_exception_handler(Exception, _bug)
     return app
 
@@ -198,7 +202,7 @@ def _add_service_routes(
         return _probe(health.not_ready())
 
     async def show_metrics(_: Request) -> Response:
-        text = await in_turn(turns, lambda: metrics.text(answers.current_status()))
+        text = await in_turn(turns, lambda: metrics.text(answers.status_since_start()))
         return PlainTextResponse(text, media_type=METRICS_TYPE)
 
     async def show_version(_: Request) -> Response:
@@ -243,9 +247,11 @@ async def _ogm_error(_: Request, error: Exception) -> Response:
     return refusal(error)
 
 
-async def _http_error(request: Request, error: Exception) -> Response:
+async def _http_error(elsewhere: str, request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     detail, headers = str(error.detail), dict(error.headers or {})
+    if error.status_code == NOT_FOUND and elsewhere:
+        detail = f"{cut(request.url.path)} is not here: {elsewhere}"
     if error.status_code == METHOD_NOT_ALLOWED:
         allowed = headers["Allow"] = allowed_methods(request.app.routes, request.scope)
         detail = f"{cut(request.method)} is not for {cut(request.url.path)}: {allowed} are"

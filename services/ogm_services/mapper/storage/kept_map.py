@@ -9,7 +9,7 @@ from ogm_core.errors import BadSetting, printable
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.placing.scan_placer import ScanPlacer
-from ogm_core.placing.state import StateParts, state_of
+from ogm_core.placing.state import StateParts, outcomes_of_gone, state_of
 from ogm_core.status import SnapshotInfo, StoreInfo
 from ogm_services.mapper.storage.checkpoints import Checkpoints, Encode, WrittenMap
 from ogm_services.mapper.storage.failures import StoreFails
@@ -85,13 +85,13 @@ class KeptMap:
         Raises:
             BadState: what is stored of a robot is damaged.
         """
-        state = state_of(self._placing)
-        placer.restore(state, time.monotonic())
-        parts = StateParts(state)
+        state, of_gone = state_of(self._placing), outcomes_of_gone(self._placing)
+        placer.restore(state, time.monotonic(), outcomes_of_gone=of_gone)
+        parts = StateParts(state, of_gone)
         self._placing = {}
 
         def take() -> Encode:
-            return partial(parts.changes, placer.state())
+            return partial(parts.changes, placer.state(), placer.outcomes_of_gone)
 
         self._checkpoints = Checkpoints(live_map, settings, run, take)
 
