@@ -16,6 +16,8 @@ from ogm_core.wire.map_update import MapUpdate, decode_updates
 
 SILENCE: Final = 3.0
 """A mapper that tells what changes is asked when it has said nothing for so long, s."""
+ALIVE: Final = 2.0
+"""A gateway that has told something so lately, s, is the one to hear: others tell the same in their words."""
 _MAX_HEARD: Final = 16
 """So many messages wait for the thread at most; who is farther behind asks."""
 _CLOSING: Final = 1.0
@@ -56,6 +58,8 @@ class MapFollower(FollowedMap):
         """Whether there is something to do for the thread; Zenoh's own waits for nobody to set it."""
         self._asked = 0.0
         """When it was last asked, by `time.monotonic()`."""
+        self._heard_own = 0.0
+        """When the mapper, or gateway, that the copy is of was last heard."""
         self._told = False
         """Whether the mapper tells what changes: it has since it was last asked for being silent."""
         self._thread = threading.Thread(target=self._run, name="ogm-follower", daemon=True)
@@ -152,6 +156,11 @@ class MapFollower(FollowedMap):
     def _follows(self, update: MapUpdate) -> bool:
         """Apply what was told; whether nothing is missing now."""
         with self._news:
+            mine, now = self._copy.version, time.monotonic()
+            if mine is not None and update.run == mine.run:
+                self._heard_own = now
+            elif now - self._heard_own < ALIVE:
+                return now - self._asked < SILENCE
             taken = self._copy.take(update)
             self._notify()
             same = self._copy.version == (update.epoch, update.run, update.revision)

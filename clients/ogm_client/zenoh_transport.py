@@ -8,7 +8,7 @@ from typing import cast
 import msgpack
 import zenoh
 
-from ogm_client.errors import BadReply, ClientError, PartialMap, nobody
+from ogm_client.errors import BadReply, ClientError, MapperError, PartialMap, nobody
 from ogm_client.missing_shares import in_attachment
 from ogm_client.session import NetworkConfig, is_secured, open_session
 from ogm_client.transport import (
@@ -31,6 +31,8 @@ _TIMED_OUT = b"Timeout"
 _MAX_ATTACHMENT_BYTES = 4096
 MAX_TOLD_BYTES = MAX_CELL_BYTES // 2
 """The longest update that is heard, bytes: those of a mapper are half as long."""
+_OTHER_GATEWAY = "other-gateway"
+"""The problem of who leaves the answer to another one, which has been asked, too."""
 _AT_ONCE = 0.001
 """Of a question without any time left, s: Zenoh takes 0 for its own default."""
 
@@ -135,13 +137,18 @@ class ZenohTransport:
             )
         except zenoh.ZError as error:
             raise ClientError(f"{key}: not asked: {reason(error)}") from error
+        refused: MapperError | None = None
         for reply in replies:
             if reply.ok is not None:
                 return reply.ok
             if reply.err is not None:
                 payload = _content(f"error reply to {service}", reply.err.payload, MAX_PROBLEM_BYTES)
                 if payload != _TIMED_OUT:
-                    raise mapper_error(service, payload)
+                    refused = mapper_error(service, payload)
+                    if refused.type != _OTHER_GATEWAY:
+                        break
+        if refused is not None:
+            raise refused
         timeout, over = self._limits.timeout, time.monotonic() - deadline
         secured = is_secured(self._session)
         raise nobody(self._keys.map_name, self._where, timeout, timeout + over, secured=secured)

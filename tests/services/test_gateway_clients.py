@@ -7,12 +7,15 @@ import time
 import msgpack
 import numpy as np
 import pytest
+import zenoh
 from PIL import Image
 from websockets.sync.client import connect
 
 from fleet_desk import npz
 from ogm_client import MapClient, MapperError, PartialMap, RobotPublisher
+from ogm_client import follower as follower_module
 from ogm_core.files.map_files import encode_npz
+from ogm_core.wire.map_update import decode_updates
 from ogm_services.commands.get import fetch
 
 FAN = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.1, "range_max": 9.0, "sensor": "laser"}
@@ -42,6 +45,64 @@ def test_the_client_library_and_queries_over_zenoh_find_one_mapper(fleet, eventu
             client.erase(region=(0, 0, 1, 1))
         client.reset()
         assert client.get_map().width == 0
+
+
+def test_a_follower_stays_with_one_of_several_gateways_while_it_lives(fleet, eventually, monkeypatch):
+    monkeypatch.setattr(follower_module, "SILENCE", 0.2)  # so often it asks whether its copy is right
+    fleet.integrate(4)
+    gateways = {service.parts.run: service for service, _ in (fleet.gateway(), fleet.gateway())}
+    with MapClient(map_name="m", session=fleet.join(), timeout=30.0) as client, client.follow() as follower:
+        own = follower.version.run
+        for _ in range(15):
+            fleet.integrate(1)
+            assert follower.wait(after=follower.version, timeout=30.0).version.run == own
+
+        def right():
+            return np.array_equal(follower.grid().log_odds, client.get_map().log_odds, equal_nan=True)
+
+        eventually(right)
+        gateways.pop(own).__exit__(None, None, None)
+        fleet.integrate(1)
+        eventually(lambda: follower.version.run in gateways and right())
+
+
+def test_what_other_gateways_tell_makes_nobody_ask_whose_own_lives(fleet, eventually, monkeypatch):
+    monkeypatch.setattr(follower_module, "SILENCE", 1000.0)
+    monkeypatch.setattr(follower_module, "ALIVE", 1000.0)
+    fleet.gateway(), fleet.gateway()
+    with MapClient(map_name="m", session=fleet.join(), timeout=30.0) as client, client.follow() as follower:
+        eventually(lambda: follower._heard_own > 0.0)
+        fleet.integrate(1)
+        follower.wait(after=follower.version, timeout=30.0)
+        asked = follower._asked
+        for _ in range(10):
+            fleet.integrate(1)
+            assert follower.wait(after=follower.version, timeout=30.0) is not None
+        assert follower._asked == asked
+
+
+def test_what_has_changed_since_a_gateway_told_it_says_while_it_lives(fleet):
+    fleet.integrate(4)
+    (first, _), (second, http) = fleet.gateway(), fleet.gateway()
+    session, epoch = fleet.join(), http.get("/map.json").json()["epoch"]
+
+    def told(run):
+        replies = session.get(
+            f"ogm/v1/m/map?format=tiles;since={epoch}-{run}-0",
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=30.0,
+        )
+        found = [reply.ok or json.loads(reply.err.payload.to_string())["type"] for reply in replies]
+        updates = [each for each in found if not isinstance(each, str)]
+        runs = [next(decode_updates(each.payload.to_bytes())).run for each in updates]
+        return sorted(runs), [each for each in found if isinstance(each, str)]
+
+    both = sorted((first.parts.run, second.parts.run))
+    assert told(first.parts.run) == ([first.parts.run], ["other-gateway"])
+    assert told("0" * 32) == told("*") == (both, [])
+    # Over HTTP nobody else has been asked.
+    assert http.get(f"/map.tiles?since={epoch}-{first.parts.run}-0").status_code == 200
 
 
 @pytest.mark.parametrize("over", ["http", "zenoh"])

@@ -125,6 +125,12 @@ class PartOfMap(Unavailable):
     slug = "partial-map"
 
 
+class OtherGateway(Unavailable):
+    """Another gateway, which has been asked, too, can say it of the copy that is named in fewer words."""
+
+    slug = "other-gateway"
+
+
 class AskShares(OgmError):
     """A gateway cannot do it for the mappers of all shares."""
 

@@ -11,7 +11,7 @@ from prometheus_client.metrics_core import Metric
 
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.sensor_rules import SensorRules
-from ogm_core.wire.keys import MapKeys
+from ogm_core.wire.keys import NAME, MapKeys
 from ogm_services.mapper.gateway.gateway_writes import GatewayWrites
 from ogm_services.mapper.gateway.gathered_answers import GatheredAnswers
 from ogm_services.mapper.gateway.share_statuses import ShareStatuses
@@ -33,6 +33,8 @@ from ogm_services.replies.in_flight import InFlight
 from ogm_services.runtime.memory import MemoryUse
 from ogm_services.settings.settings import Settings
 
+LOOK_TIMEOUT = 0.5
+"""How long tokens of gateways are waited for, s."""
 WATCHED = 2.0
 """So long after somebody has asked for what has changed scans are read that viewers may see, s."""
 
@@ -87,6 +89,7 @@ class GatewayParts:
         self.answers = GatheredAnswers(
             *(map_name, self.gathered, self.gathering, statuses, self.told, self.followed),
             *(self.receipts, self.monitor, self.ready.is_set, AnswerMemory(memory, self.in_flight)),
+            lambda run: _lives(session, self.keys, run),
         )
         """The answering threads ask."""
         self.writes = GatewayWrites(self.answers, self.gathering, statuses)
@@ -123,3 +126,11 @@ class GatewayParts:
         missing = {each.share for each in self.gathering.newest.missing}
         up = {str(share): float(share not in missing) for share in range(self.gathered.layout.count)}
         yield gauges("ogm_share_up", "Whether a share of the map answers.", "share", up)
+
+
+def _lives(session: zenoh.Session, keys: MapKeys, run: str) -> bool:
+    """Whether the gateway of a run has a token; waits for the network."""
+    if not NAME.fullmatch(run):
+        return False
+    tokens = session.liveliness().get(keys.alive("gateway", "*", run), timeout=LOOK_TIMEOUT)
+    return any(token.ok is not None for token in tokens)

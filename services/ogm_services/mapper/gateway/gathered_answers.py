@@ -14,7 +14,7 @@ from ogm_services.mapper.gateway.summed_status import OVERLOAD, summed
 from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
-from ogm_services.mapper.serving.map_formats import MAP_FORMATS
+from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_parameters import (
     AT,
     CELL_X,
@@ -23,13 +23,14 @@ from ogm_services.mapper.serving.map_parameters import (
     COMPLETE_FIRST,
     region_of,
 )
+from ogm_services.mapper.serving.map_updates import SINCE
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.shares.gathered_map import GatheredMap
 from ogm_services.mapper.shares.gathered_views import GatheredView
 from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.share_parts import MissingShare
-from ogm_services.replies.answer import Answer, AskShares, Parameters, PartOfMap
+from ogm_services.replies.answer import Answer, AskShares, OtherGateway, Parameters, PartOfMap
 
 PLANNERS = frozenset({"pgm", "yaml"})
 """Formats that a planner loads, to which what is unknown may be free."""
@@ -54,14 +55,19 @@ class GatheredAnswers(Answers):
         monitor: Monitor,
         ready: Callable[[], bool],
         memory: AnswerMemory,
+        lives: Callable[[str], bool],
     ) -> None:
-        """`told` and `followed` are the gathered map under its two names; `receipts` are of robots' poses."""
+        """`told` and `followed` are the gathered map under its two names; `receipts` are of robots' poses.
+
+        `lives` tells whether the gateway of a run lives.
+        """
         super().__init__(map_name, told, receipts, monitor, ready, memory, followed=followed)
         self._name = map_name
         self._gathered = gathered
         self._gathering = gathering
         self._statuses = statuses
         self.map_tiles.tag = gathered.tags.tag
+        self._lives = lives
         self._up_since = time.monotonic()
 
     @property
@@ -116,6 +122,19 @@ class GatheredAnswers(Answers):
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes: `complete`, too."""
         return (*super().map_parameters(form), _complete(form))
+
+    def map_of_all(self, form: str, given: Parameters) -> Answer:
+        """`map`, where all gateways have been asked.
+
+        Raises:
+            OtherGateway: it asks what has changed since another one, which lives, told of the map.
+        """
+        since = SINCE.read(given) if form == UPDATES_FORMAT else None
+        if since is not None:
+            run = since.split("-")[-2]
+            if run != self._gathered.run and self._lives(run):
+                raise OtherGateway(f"map.tiles: the gateway of run {run} can say what has changed since")
+        return self.map(form, given)
 
     def _map_now(self, form: str, given: Parameters) -> Answer:
         if form not in MAP_FORMATS:

@@ -132,6 +132,10 @@ class Answers:
         self.check_started()
         return self._map_now(form, given)
 
+    def map_of_all(self, form: str, given: Parameters) -> Answer:
+        """`map`, where all have been asked who serve it: here it is one alone."""
+        return self.map(form, given)
+
     def _map_now(self, form: str, given: Parameters) -> Answer:
         if form == UPDATES_FORMAT:
             answer = self._updates.answer(given)

@@ -39,7 +39,7 @@ class ZenohRoutes:
         """Declare the queryables: from here on every question gets an answer, by these `threads`."""
         self._declared.callback(self._queryables.close)
         declare, key = self._queryables.declare, self._keys.service
-        declare(key("map"), _in_format(answers.map, "json"), threads.maps)
+        declare(key("map"), _in_format(answers.map_of_all, "json"), threads.maps)
         declare(key("cell"), answers.cell, threads.maps)
         declare(key("quality"), answers.quality, threads.maps)
         declare(key("status"), answers.status, threads.status)
