@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rough_log import write_rough_log
+from tests.soak.services import Service
 
 LAP = 10.95
 """Seconds from the first to the last scan of the lab's recording."""
@@ -170,6 +171,27 @@ def test_a_mapper_that_dies_midway_is_a_failure(ogm, lab_log, eventually):
     eventually(lambda: mapper.status()["revision"] > 10)
     mapper.command.stop(signal.SIGKILL)
     assert "no mapper of map 'default' answered" in replay.wait().complaint(1)
+
+
+def test_a_router_that_is_away_for_a_while_loses_nothing(
+    ogm, lab_log, endpoint, eventually, assert_equal_maps
+):
+    """What was on its way when it went is in the map as well."""
+    with Service("tests.soak.router", endpoint) as router:
+        mapper = ogm.ready(ogm.start("mapper", "--http-port", "0", "--connect", endpoint))
+        replay = ogm.start("replay", lab_log.path, "--connect", endpoint, "--speed", "2")
+        eventually(lambda: mapper.status()["revision"] > 10)
+        router.end()
+        assert mapper.status()["revision"] < 220
+        router.start()
+        ended = replay.wait()
+        assert (ended.code, ended.err) == (0, "")
+        assert "220 scans sent, 220 integrated" in ended.out
+        status = mapper.status()
+        assert (status["revision"], status["scans"]["lost"], status["poses"]["lost"]) == (220, 0, 0)
+        assert ogm.call("build", lab_log.path, "--out", "built").code == 0
+        assert_equal_maps(mapper.map(), ogm.map("built/map.npz"))
+        mapper.command.stop()  # before its router, which it would look for
 
 
 def test_scans_that_the_mapper_had_no_room_for_are_a_failure(ogm):

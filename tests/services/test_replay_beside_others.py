@@ -4,17 +4,18 @@ import hashlib
 import re
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ogm_client import RobotPublisher
-from ogm_core.logs.recordings import RecordedScan, write_jsonl
+from ogm_client import MapClient, MapperError, NobodyAnswered, RobotPublisher
+from ogm_core.logs.recordings import RecordedPose, RecordedScan, write_jsonl
 from ogm_core.placing import receipts
-from ogm_core.types import IDENTITY, Pose, Scan
+from ogm_core.status import SourceStatus
+from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
 from ogm_core.wire.keys import Source
 from ogm_services.commands import on_the_way, replay
 from ogm_services.commands.on_the_way import OnTheWay, Size
@@ -54,18 +55,91 @@ def replay_into(mapper, log):
     run_replay(log, Settings(network=network), speed=None)
 
 
-def test_it_keeps_nothing_for_a_mapper_that_comes_later(mapper, tmp_path, eventually):
-    """What it has sent is in its file."""
-    tokens, liveliness = [], mapper.session.liveliness()
-    keys = [f"ogm/v1/hall/robots/{robot}/scan/laser/@adv/**" for robot in ("logged", "other")]
-    declared = [liveliness.declare_subscriber(key, tokens.append) for key in keys]
-    replay_into(mapper, log_of(tmp_path / "log.jsonl", 20, beams=8))
-    with RobotPublisher("other", address=mapper.endpoint, map_name="hall", reliable=True) as robot:
-        robot.publish_scan([1.0], angle_min=0.0, angle_increment=0.1, range_min=0.0, range_max=8.0)
-        eventually(lambda: tokens)  # who keeps something has a token
-    for subscriber in declared:
-        subscriber.undeclare()
-    assert {str(token.key_expr).split("/")[4] for token in tokens} == {"other"}
+NONE_YET = SourceStatus(run="", last_seq=None, received=0, pending=0, integrated=0)
+
+
+def answering(monkeypatch, change):
+    """Have the mapper's status changed by `change`, which is told how often it was asked before."""
+    ask, count = MapClient.status, [0]
+
+    def status(client):
+        count[0] += 1
+        return change(count[0] - 1, ask(client))
+
+    monkeypatch.setattr(replay.MapClient, "status", status)
+
+
+@pytest.mark.parametrize(
+    "error", [NobodyAnswered("away"), MapperError("starting", 503, "it starts")], ids=["away", "starts"]
+)
+def test_a_mapper_that_is_away_for_a_while_is_waited_for(mapper, tmp_path, monkeypatch, capsys, error):
+    def change(asked, status):
+        if 2 <= asked < 5:
+            raise error
+        return status
+
+    answering(monkeypatch, change)
+    replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
+    assert capsys.readouterr().out.endswith("log.jsonl: 200 scans sent, 200 integrated\n")
+
+
+@pytest.mark.parametrize("error", [NobodyAnswered("away"), MapperError("no-map", 404, "what?")])
+def test_a_mapper_that_stays_away_or_refuses_is_a_failure(mapper, tmp_path, monkeypatch, error):
+    def change(asked, status):
+        if asked >= 2:
+            raise error
+        return status
+
+    answering(monkeypatch, change)
+    patience = 0.5 if isinstance(error, NobodyAnswered) else 600.0
+    monkeypatch.setattr(replay, "MAPPER_PATIENCE", patience)
+    with pytest.raises(type(error), match=str(error)[:4]):
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
+
+
+def test_a_mapper_that_was_started_anew_meanwhile_is_a_failure(mapper, tmp_path, monkeypatch):
+    seen = []
+
+    def change(_, status):
+        logged = status.robots.get("logged")
+        seen.append(logged is not None and logged.sources.get("laser", NONE_YET).received > 0)
+        return replace(status, robots={}) if seen.count(True) > 1 else status
+
+    answering(monkeypatch, change)
+    with pytest.raises(ReplayFailed, match=r"^the mapper was started anew meanwhile: reset its map"):
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_poses_that_are_lost_while_the_mapper_is_away_are_a_failure(mapper, tmp_path, monkeypatch, away):
+    """Of other robots' poses that are lost, as some are all day, it says nothing."""
+
+    def change(asked, status):
+        if away and asked == 2:
+            raise NobodyAnswered("away")
+        return status if asked < 2 else replace(status, poses=replace(status.poses, lost=3))
+
+    answering(monkeypatch, change)
+    failure = pytest.raises(ReplayFailed, match=r"^200 .* 200 integrated, 3 poses lost while .* was away$")
+    with failure if away else nullcontext():
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
+
+
+def test_many_poses_are_not_sent_ahead_of_what_the_mapper_says(mapper, tmp_path, monkeypatch):
+    """As many as are kept for it to ask for, and no more."""
+    sent, put = [0], RobotPublisher.put_pose
+
+    def put_pose(robot, message):
+        sent[-1] += 1
+        put(robot, message)
+
+    monkeypatch.setattr(RobotPublisher, "put_pose", put_pose)
+    answering(monkeypatch, lambda _, status: sent.append(0) or status)
+    poses = [RecordedPose("logged", PoseStamped(k, IDENTITY, k, "r")) for k in range(1000)]
+    last = Scan(1000, 0.0, 0.1, 0.0, 8.0, np.ones(8, np.float32), pose=IDENTITY)
+    write_jsonl(tmp_path / "log.jsonl", [*poses, RecordedScan("logged", "laser", last)])
+    replay_into(mapper, tmp_path / "log.jsonl")
+    assert sent[:5] == [0, 320, 320, 320, 40]
 
 
 def test_it_ends_when_its_own_scans_are_in(mapper, tmp_path, capsys):

@@ -13,7 +13,8 @@ from typing import Literal
 import typer
 import zenoh
 
-from ogm_client.errors import ClientError
+from ogm_client.channels import POSES_A_SCAN
+from ogm_client.errors import ClientError, MapperError, NobodyAnswered
 from ogm_client.map_client import MapClient
 from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
@@ -22,7 +23,7 @@ from ogm_core.logs.recorded import Recorded, RecordedPose
 from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import MAX_NAME, Source
 from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, ReadAs, log_reader
-from ogm_services.commands.on_the_way import OnTheWay, size_of
+from ogm_services.commands.on_the_way import MAX_AHEAD, OnTheWay, size_of
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
@@ -32,8 +33,15 @@ ASK_EVERY = 16
 """Scans that are sent before it is asked again: its answer is long if there are many robots."""
 LONGEST_PAUSE = 10.0
 """Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
+POSES_AHEAD = POSES_A_SCAN * MAX_AHEAD
+"""Poses that are sent before it is asked."""
+KEPT_SCANS = 2 * MAX_AHEAD
+"""What each sensor's publisher keeps, and POSES_A_SCAN times as many poses: all that may be on its way when a
+link breaks, and as much again. The mapper asks for what it has missed."""
 MAPPER_PATIENCE = 10.0
-"""How long the mapper may take no further scan of ours, s."""
+"""How long the mapper may take no further scan of ours, or be away, s."""
+AWAY_POLL = 0.1
+_UNAVAILABLE = 503
 POSES_PATIENCE = 600.0
 """How long scans that it has taken may wait for poses, s: its `pose_wait` ends that."""
 POLL = 0.002
@@ -63,7 +71,8 @@ def run_replay(
     Raises:
         BadRecording: the log cannot be read, or holds no scan; nothing is sent.
         CannotConnect, NobodyAnswered: no mapper is there.
-        ReplayFailed: a scan was never received, or was dropped as malformed, for overload or by a bug.
+        ReplayFailed: a scan was never received, or was dropped as malformed, for overload or by a bug; or the
+            mapper was started anew.
     """
     reader, network = log_reader(log, read_as, settings), settings.network
     with reader() as messages:
@@ -94,12 +103,18 @@ class _Replay:
         self._on_the_way = OnTheWay()
         self._unasked = 0
         """Scans that were sent since the mapper was asked."""
+        self._unasked_poses = 0
+        self._was_away = False
+        """Whether the mapper was away, as it is where its router or a link ends and comes back."""
         self._before = self._status = self._client.status()
 
     def publish(self, recorded: Recorded) -> None:
         """Send a message under a fresh run; wait first if as many scans as our share are on their way."""
         publisher = self._publisher(recorded.robot)
         if isinstance(recorded, RecordedPose):
+            if self._unasked_poses >= POSES_AHEAD:
+                self._follow()
+            self._unasked_poses += 1
             source = Source(recorded.robot, None)
             run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
             publisher.put_pose(replace(recorded.message, run=run, seq=seq))
@@ -131,6 +146,9 @@ class _Replay:
         dropped = self._dropped()
         if any(dropped.get(reason) for reason in _FATAL):
             raise ReplayFailed(self._report())
+        lost = self._status.poses.lost - self._before.poses.lost
+        if self._was_away and lost > 0:
+            raise ReplayFailed(f"{self._report()}, {lost} poses lost while the mapper was away")
         return self._report()
 
     def _report(self) -> str:
@@ -171,12 +189,30 @@ class _Replay:
 
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
-        self._status, self._unasked = self._client.status(), 0
+        before, self._status = self._status, self._answered()
+        self._unasked = self._unasked_poses = 0
         for source, total in self._sent.items():
             status = _status_of(self._status, source)
+            if status.received < _status_of(before, source).received:
+                raise ReplayFailed(
+                    "the mapper was started anew meanwhile: reset its map, and replay the log again"
+                )
             self._on_the_way.taken(source, status.run, status.last_seq)
             if not status.pending and self._since(source, "received") >= total:
                 self._on_the_way.none_waits(source)
+
+    def _answered(self) -> Status:
+        """The mapper's status; one that is away is waited for, and may have been started anew."""
+        deadline = time.monotonic() + MAPPER_PATIENCE
+        while True:
+            try:
+                return self._client.status()
+            except (NobodyAnswered, MapperError) as error:
+                starts = isinstance(error, MapperError) and error.status == _UNAVAILABLE
+                if time.monotonic() > deadline or not (starts or isinstance(error, NobodyAnswered)):
+                    raise
+            self._was_away = True
+            time.sleep(AWAY_POLL)
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
         """Poll until `reached`; give up when what it says of our sources stands still for too long, s."""
@@ -195,14 +231,13 @@ class _Replay:
 
     def _publisher(self, robot: str) -> RobotPublisher:
         if robot not in self._robots:
-            # Nothing is kept: what a replay sends is in its file, and it waits for what it has sent.
             publisher = RobotPublisher(
                 robot,
                 session=self._session,
                 map_name=self._map_name,
                 run=self._run,
                 reliable=True,
-                cache_samples=0,
+                cache_samples=KEPT_SCANS,
             )
             self._robots[robot] = self._opening.enter_context(publisher)
             publisher.wait_for_mapper(MAPPER_PATIENCE)
