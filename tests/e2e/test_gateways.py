@@ -31,13 +31,9 @@ class Fleet:
 
     def __init__(self, folder, opening):
         self.endpoint = resolve_listen("tcp/127.0.0.1:0")
+        self._folder = folder
         opening.enter_context(Service("tests.soak.router", self.endpoint))
-        self.shares = [
-            opening.enter_context(
-                Mapper(self.endpoint, folder / f"share{k}", "connect", CUTS | {"share": k, "map": "lab"})
-            )
-            for k in (0, 1)
-        ]
+        self.shares = [opening.enter_context(self.share(k, f"share{k}")) for k in (0, 1)]
         flags = [f"--{name.replace('_', '-')}={value}" for name, value in CUTS.items()]
         self.gateways = [
             opening.enter_context(
@@ -58,6 +54,10 @@ class Fleet:
         )
         self.robot.wait_for_mapper(SETTLED)
         self.one = OccupancyGrid(GridSettings(resolution=0.1, reach=10.0))
+
+    def share(self, k, store):
+        """The mapper of a share, which stores its part there."""
+        return Mapper(self.endpoint, self._folder / store, "connect", CUTS | {"share": k, "map": "lab"})
 
     def drive(self, scans):
         for placed in scans:
@@ -127,10 +127,42 @@ def test_shares_frozen_killed_and_started_again_and_a_gateway_that_is_killed(fle
         status = eventually(lambda: (told := first.get("/status").json())["complete"] and told, SETTLED)
         assert status["scans"]["integrated"] == status["scans"]["received"] == len(SCANS)
         assert (status["scans"]["lost"], status["scans"]["pending"]) == (0, 0)
-        source = status["robots"]["robot1"]["sources"]["scan"]
+        (source,) = status["robots"]["robot1"]["sources"].values()
         assert (source["received"], source["integrated"]) == (len(SCANS), len(SCANS))
 
         fleet.gateways[0].end(signal.SIGTERM)
         assert client.get_map().missing == ()  # by the other gateway
         client.reset()
         assert client.get_map().width == 0
+
+
+def readyz(share):
+    """Whether a share is ready, "ok", or why not."""
+    return httpx.get(f"{share.url}readyz", timeout=SETTLED).text
+
+
+def known_cells(share):
+    return share.status()["map_info"]["known_cells"]
+
+
+def test_a_share_that_was_frozen_meets_its_twin_and_does_no_harm_to_cells(fleet, eventually):
+    first, second = fleet.http
+    frozen = fleet.shares[0]
+    fleet.drive(SCANS[:60])
+    eventually(lambda: fleet.has_all(first), SETTLED)
+    with fleet.share(0, "twin") as twin:
+        with frozen.frozen():
+            fleet.drive(SCANS[60:100])
+            twin.wait_until_ready()
+            assert readyz(twin) == "ok"
+            # What the twin has asked the robot for is what the gateway tells.
+            eventually(lambda: fleet.has_all(first), SETTLED)
+        for share in (frozen, twin):
+            eventually(lambda share=share: "another mapper of the map serves, too" in readyz(share), SETTLED)
+        fleet.drive(SCANS[100:])
+        eventually(lambda: fleet.has_all(first) and fleet.has_all(second), SETTLED)
+        eventually(lambda: known_cells(frozen) == known_cells(twin), SETTLED)
+        frozen.end(signal.SIGTERM)
+        eventually(lambda: readyz(twin) == "ok", SETTLED)
+        assert fleet.has_all(first)
+        eventually(lambda: first.get("/status").json()["complete"], SETTLED)

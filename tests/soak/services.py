@@ -130,6 +130,11 @@ class Mapper(Service):
         return int(counts["pending"])
 
     @property
+    def url(self) -> str:
+        """Where it serves HTTP."""
+        return self._url
+
+    @property
     def anybody_alive(self) -> bool:
         """Whether any robot's token is there."""
         return any(robot["alive"] for robot in self.status()["robots"].values())
