@@ -101,6 +101,13 @@ def test_two_shares_hold_the_map_of_one_and_count_each_scan_once(shares):
     assert source["of_others"] == {"border": 1, "border_dropped": 0, "elsewhere": 1}
 
 
+def test_a_share_keeps_no_scans_once_they_are_in_its_cells(shares):
+    shares.drive(WEST, NEAR_WEST, EAST)
+    for mapper in shares.both:
+        assert mapper.service.memory.held()["recent"] == 0
+    assert [shares.scans(k)[0] for k in (0, 1)] == [2, 1]
+
+
 def test_a_part_says_which_it_is_and_tells_what_has_changed_since(shares):
     shares.drive(NEAR_WEST, WEST)
     updates, attached = shares.part(0)

@@ -67,7 +67,9 @@ class LiveMap(MapWithFigures):
         self._threads = grid.threads = threads
         self._memory = memory
         self._map_memory = None if memory is None else MapMemory(memory, self._copies_bytes)
-        self._recent = RecentScans(RECENT_BYTES if memory is None else memory.share(RECENT_BYTES))
+        # A share tells no figures of scans, and keeps none: most would be of places that it does not map.
+        wanted = 0 if grid.settings.share is not None else RECENT_BYTES
+        self._recent = RecentScans(wanted if memory is None or not wanted else memory.share(wanted))
         self._writing = threading.Lock()
         self._reading = threading.Lock()
         self._snapshot: MapSnapshot | None = None

@@ -13,7 +13,7 @@ RECENT_BYTES = 64 * MEBIBYTE
 
 
 class RecentScans:
-    """The newest scans that are in the map, as far as they take no more than their share, bytes."""
+    """The newest scans that are in the map, as far as they take no more than their share, bytes; 0: none."""
 
     def __init__(self, share: int) -> None:
         self.share = share
