@@ -104,9 +104,10 @@ def test_where_cells_depend_on_those_around_their_shares_are_needed_too(endpoint
         fleet.integrate(4)
         _, http = fleet.gateway()
         fleet.shares[1].close()
-        for asked in ("/cell?x=-0.01&y=-1", f"/map.pgm?region={WEST}"):
+        # A half looks at three halves on every side: the first of cell -2 at the second of cell 0.
+        for asked in ("/cell?x=-0.01&y=-1", "/cell?x=-0.06&y=-1", f"/map.pgm?region={WEST}"):
             assert http.get(asked).status_code == status
-        assert http.get("/cell?x=-0.06&y=-1").status_code == 200
+        assert http.get("/cell?x=-0.11&y=-1").status_code == 200
 
 
 def test_a_rectangle_meets_the_shares_that_own_its_cells():

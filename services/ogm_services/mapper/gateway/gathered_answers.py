@@ -117,7 +117,9 @@ class GatheredAnswers(Answers):
 
     def _shares_on(self, cells: CellRect) -> Collection[int]:
         """The same of some cells: around them, too, as far as the model looks."""
-        return self._gathered.layout.met(cells.widened(self._gathered.settings.cell_model.margin))
+        model = self._gathered.settings.cell_model
+        # Halves of cells look farther than cells: as far as what is written into one is seen around it.
+        return self._gathered.layout.met(cells.widened(max(model.margin, model.spread)))
 
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes: `complete`, too."""
