@@ -1,5 +1,6 @@
 """A gateway as a service over fake shares: what it answers while some are missing, or of another map."""
 
+import logging
 import time
 from contextlib import closing
 
@@ -9,8 +10,12 @@ from cut_link import CutLink
 from fleet_desk import Fleet, npz
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.files.map_files import encode_npz
+from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.map_update import encode_update
-from shares_desk import FakeShare, ServedShare, scan_at
+from ogm_services.mapper.shares import gathering
+from ogm_services.mapper.shares.gathered_map import GatheredMap
+from ogm_services.mapper.shares.gathering import Gathering
+from shares_desk import FOUR, SETTINGS, FakeShare, ServedShare, scan_at
 
 
 def test_while_a_share_is_missing_the_rest_is_told_and_says_so(fleet):
@@ -103,6 +108,29 @@ def test_a_share_that_keeps_silent_holds_nobody_up_for_longer_than_the_timeout(f
     assert answer.headers["OGM-Missing"].startswith("2;")
     fleet.shares[2].silent = False
     assert "OGM-Missing" not in http.get("/map.npz").headers
+
+
+def test_the_log_tells_of_a_share_that_is_silent_twice_in_a_row(fleet, caplog, monkeypatch):
+    late, asked = [], gathering.ask_shares
+
+    def answered(*given):
+        for share, answers in asked(*given):
+            yield share, [] if share in late else answers
+
+    monkeypatch.setattr(gathering, "ask_shares", answered)
+    gathers = Gathering(fleet.join(), MapKeys("m"), GatheredMap(SETTINGS, FOUR, "run"), 30.0)
+
+    def missing(*shares):
+        late[:] = shares
+        return [each.share for each in gathers.gather().missing]
+
+    with caplog.at_level(logging.INFO, gathering.__name__):
+        assert missing() == []
+        caplog.clear()
+        assert (missing(2), missing(), missing(2), missing()) == ([2], [], [2], [])
+        assert caplog.messages == []
+        assert (missing(2), missing(2), missing(2), missing()) == ([2], [2], [2], [])
+    assert caplog.messages == ["share 2 does not answer: its part of the map is missing", "share 2 answers"]
 
 
 def test_a_share_whose_link_breaks_in_the_middle_of_its_reply_is_missing_as_a_whole(fleet):

@@ -65,6 +65,8 @@ class Gathering:
         """By share, its processes in the order in which they were first heard: of two the newer counts."""
         self._since = dict.fromkeys(self._shares, time.time_ns())
         """Since when shares are missing, ns since the Unix epoch: at first all of them."""
+        self._told_missing = set(self._shares)
+        """Those of which the log says that they are missing, or has not said yet that they answer."""
         self._refused: dict[int, str] = {}
         """Why what a share tells is not taken."""
         self._log = LimitedLog(log)
@@ -189,14 +191,21 @@ class Gathering:
             self._log.warning(f"share {share}", f"what it tells is not taken: {error}")
 
     def _note(self, share: int, *, heard: bool) -> None:
-        """Note whether a share is missing, and tell when that changes."""
+        """Note whether a share is missing; tell when it answers again, and when it was silent twice in a row.
+
+        On a busy machine one answer of a share that is well may come too late.
+        """
         with self._turns:
-            was_missing = share in self._since
             if heard:
                 self._since.pop(share, None)
+                changed = share in self._told_missing
+                self._told_missing.discard(share)
             else:
+                changed = share in self._since and share not in self._told_missing
+                if changed:
+                    self._told_missing.add(share)
                 self._since.setdefault(share, time.time_ns())
-        if heard and was_missing:
+        if changed and heard:
             log.info("share %d answers", share)
-        elif not heard and not was_missing:
+        elif changed:
             log.warning("share %d does not answer: its part of the map is missing", share)
