@@ -23,6 +23,7 @@ from ogm_core.quality.figures import Consistency
 from ogm_services.commands.batch.mapping import files_of_build, map_by_workers
 from ogm_services.commands.batch.tasks import Task, run_task
 from ogm_services.commands.batch.workers import Workers
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import ALL_MAPPED
 from ogm_services.commands.log_readers import ReadAs
 from ogm_services.commands.mapped_logs import MappedLogs, map_logs, readers_of
@@ -107,15 +108,14 @@ class CountedWorkers(Workers):
 def at_best(logs: list[Path], settings: Settings, count: int, rounds: int) -> float:
     """How many times as fast so many workers would be at best; the least times of several rounds, in turn."""
     alone, together = float("inf"), float("inf")
+    request = BuildRequest(logs, logs[0].parent, settings, READ_AS)
     for _ in range(rounds + 1):  # the first one compiles
         began = time.process_time()
         judged(map_logs(readers_of(logs, READ_AS, settings), settings, ALL_MAPPED))
         alone = min(alone, time.process_time() - began)
         workers, began = CountedWorkers(count), time.process_time()
         with files_of_build(logs[0].parent) as files:
-            judged(
-                map_by_workers(logs, settings, read_as=READ_AS, held=ALL_MAPPED, workers=workers, files=files)
-            )
+            judged(map_by_workers(request, workers, files))
         parent = time.process_time() - began - workers.tasks
         together = min(together, parent + workers.busiest)
     return alone / together

@@ -9,6 +9,7 @@ from ogm_core.errors import BadInput, BadRecording, MapEmpty
 from ogm_core.logs.jsonl_writer import write_jsonl
 from ogm_core.logs.recordings import RecordingReader
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 from rough_log import SCANS, Drive, write_three_logs
@@ -46,14 +47,14 @@ def files_of(folder):
 )
 def test_several_logs_make_the_map_of_one_with_the_messages_of_all(tmp_path, logs, flags):
     settings = settings_of(**flags)
-    run_build(logs, tmp_path / "several", settings)
-    run_build([as_one(logs, tmp_path / "one.jsonl")], tmp_path / "one", settings)
+    run_build(BuildRequest(logs, tmp_path / "several", settings))
+    run_build(BuildRequest([as_one(logs, tmp_path / "one.jsonl")], tmp_path / "one", settings))
     assert files_of(tmp_path / "several") == files_of(tmp_path / "one")
     assert not (tmp_path / "one" / "logs.json").exists()
 
 
 def test_what_is_told_of_each_log(tmp_path, logs, capsys):
-    run_build(logs, tmp_path / "out", settings_of(), held=HeldScans(5))
+    run_build(BuildRequest(logs, tmp_path / "out", settings_of(), held=HeldScans(5)))
     said, told = capsys.readouterr().out.splitlines(), json.loads((tmp_path / "out/logs.json").read_text())
     assert list(told) == [str(log) for log in logs]
     first, second, third = told.values()
@@ -74,12 +75,12 @@ def test_what_is_told_of_each_log(tmp_path, logs, capsys):
     scans, integrated = (sum(one[name] for one in told.values()) for name in ("scans", "integrated"))
     assert said[3:] == [f"{tmp_path}/out: 3 logs, {scans} scans read, {integrated} integrated"]
     assert json.loads((tmp_path / "out/quality.json").read_text())["scans"] == integrated
-    run_build(logs[1:2], tmp_path / "out", settings_of())
+    run_build(BuildRequest(logs[1:2], tmp_path / "out", settings_of()))
     assert not (tmp_path / "out/logs.json").exists()
 
 
 def test_what_is_wrong_with_a_log_is_told_with_its_name(tmp_path, logs, capsys):
-    run_build(logs, tmp_path / "out", settings_of(robots=["mounted:radius=0.3"]))
+    run_build(BuildRequest(logs, tmp_path / "out", settings_of(robots=["mounted:radius=0.3"])))
     lines = capsys.readouterr().err.splitlines()
     assert all(line.startswith((f"{logs[0]}: ", f"{logs[1]}: ", f"{logs[2]}: ")) for line in lines)
     nobody = "robots: mounted: no robot of this log is called so"
@@ -87,7 +88,7 @@ def test_what_is_wrong_with_a_log_is_told_with_its_name(tmp_path, logs, capsys):
 
 
 def test_a_figure_names_a_robot_of_each_log(tmp_path, logs):
-    run_build(logs[1:], tmp_path / "out", settings_of(), figure=tmp_path / "map.svg")
+    run_build(BuildRequest(logs[1:], tmp_path / "out", settings_of(), figure=tmp_path / "map.svg"))
     drawn = (tmp_path / "map.svg").read_text()
     assert "path of plain in tuesday.jsonl" in drawn
     assert "path of plain in wednesday.jsonl" in drawn
@@ -98,13 +99,17 @@ def test_what_several_logs_are_refused_for(tmp_path, logs):
     with pytest.raises(
         BadInput, match=r"tuesday\.jsonl: this log is given twice: its scans would count twice"
     ):
-        run_build([logs[1], logs[0], tmp_path / "." / "tuesday.jsonl"], tmp_path / "out", settings_of())
+        run_build(
+            BuildRequest(
+                [logs[1], logs[0], tmp_path / "." / "tuesday.jsonl"], tmp_path / "out", settings_of()
+            )
+        )
     (tmp_path / "empty.jsonl").write_text("")
     with pytest.raises(BadRecording, match=r"empty\.jsonl: .*holds no scan"):
-        run_build([*logs, tmp_path / "empty.jsonl"], tmp_path / "out", settings_of())
+        run_build(BuildRequest([*logs, tmp_path / "empty.jsonl"], tmp_path / "out", settings_of()))
     lost = [tmp_path / "lost1.jsonl", tmp_path / "lost2.jsonl"]
     for log in lost:
         write_jsonl(log, [message for _, message in Drive("lost").scans(SCANS[:3]).sent])
     with pytest.raises(MapEmpty, match=r"lost1.jsonl: no scan changed the map .*; .*lost2.jsonl: no scan"):
-        run_build(lost, tmp_path / "out", settings_of())
+        run_build(BuildRequest(lost, tmp_path / "out", settings_of()))
     assert not (tmp_path / "out").exists()

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from ogm_services.commands import build, log_readers, mapped_logs
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 from rough_log import write_rough_log
@@ -35,7 +36,7 @@ def test_a_log_is_read_again_only_if_its_scans_are_too_many(tmp_path, monkeypatc
     def quality(room):
         monkeypatch.setattr(mapped_logs, "MAX_KEPT", room)
         opened.clear()
-        build.run_build([log], tmp_path, settings, held=HeldScans(hold_out))
+        build.run_build(BuildRequest([log], tmp_path, settings, held=HeldScans(hold_out)))
         return json.loads((tmp_path / "quality.json").read_text()), len(opened)
 
     expected, times = quality(0)

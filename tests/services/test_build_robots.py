@@ -11,6 +11,7 @@ from ogm_core.logs.jsonl_writer import write_jsonl
 from ogm_core.logs.recorded import RecordedPose, RecordedScan
 from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.commands import build, mapped_logs
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 
@@ -40,7 +41,7 @@ def built(tmp_path, capsys):
 
     def run(*robots, hold_out=None):
         settings = load_settings(config=None, flags={}, environ={}, robots=robots)
-        build.run_build([log], tmp_path, settings, held=HeldScans(hold_out))
+        build.run_build(BuildRequest([log], tmp_path, settings, held=HeldScans(hold_out)))
         grid = read_npz((tmp_path / "map.npz").read_bytes())
         return grid, json.loads((tmp_path / "quality.json").read_text()), capsys.readouterr()
 

@@ -18,6 +18,7 @@ from ogm_services.commands.batch.mapping import accepted_by
 from ogm_services.commands.batch.placed_scans import PlacedLog, ScanFiles
 from ogm_services.commands.batch.tasks import run_task
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.settings.sources import load_settings
 from rough_log import write_three_logs
@@ -74,7 +75,7 @@ def files_of(folder):
 
 
 def built(out, paths, settings, **options):
-    run_build(paths, out, settings, world="lab", figure=out / "map.svg", **options)
+    run_build(BuildRequest(paths, out, settings, world="lab", figure=out / "map.svg", **options))
     return files_of(out)
 
 
@@ -136,13 +137,14 @@ def test_scans_that_would_stretch_the_map_too_far_are_refused_as_one_process_doe
 def test_a_map_that_has_no_room_is_refused_with_what_to_do(tmp_path, logs, share):
     """In one area, or in none of them but in all together; one process leaves scans out and counts them."""
     grid = OccupancyGrid(settings_of().grid_settings())
-    run_build(logs, tmp_path / "alone", settings_of())
+    run_build(BuildRequest(logs, tmp_path / "alone", settings_of()))
     written = json.loads((tmp_path / "alone/quality.json").read_text())["known_m2"] / 0.05**2 / 64**2
     room = int(share * written * grid._store.tile_bytes)
+    settings = settings_of({"max_bytes": max(room, 2**20)})
     with pytest.raises(
         LimitReached, match=r"mapper\.max_bytes = .*raise it, .*or leave --workers and --dask out"
     ):
-        run_build(logs, tmp_path / "many", settings_of({"max_bytes": max(room, 2**20)}), workers=2)
+        run_build(BuildRequest(logs, tmp_path / "many", settings, workers=2))
     assert not (tmp_path / "many").exists()
 
 
@@ -150,7 +152,7 @@ def test_a_map_that_has_no_room_is_refused_with_what_to_do(tmp_path, logs, share
 def test_a_log_that_cannot_be_read_is_refused_and_nothing_is_written(tmp_path, logs):
     (tmp_path / "empty.jsonl").write_text("")
     with pytest.raises(BadRecording, match=r"empty\.jsonl: .*holds no scan"):
-        run_build([*logs, tmp_path / "empty.jsonl"], tmp_path / "out", settings_of(), workers=2)
+        run_build(BuildRequest([*logs, tmp_path / "empty.jsonl"], tmp_path / "out", settings_of(), workers=2))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         [*(log.name for log in logs), "empty.jsonl"]
     )

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ogm_core.errors import BadRecording, LimitReached
 from ogm_core.lattice import Region
 from ogm_services.cli import app
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_readers import ReadAs
 from ogm_services.commands.simulator_options import SimulatorOptions
@@ -426,25 +427,28 @@ def test_build(ogm, stub):
     run = stub("ogm_services.commands.build", "run_build")
     flags = "--out maps --hold-out 5 --range-max 8 --preset lab"
     assert ogm("build", "a.jsonl", *flags.split()).exit_code == 0
-    logs, out, settings = run.args
-    assert (logs, out, settings.map.preset) == ([Path("a.jsonl")], Path("maps"), "lab")
-    rest = {"world": None, "figure": None, "workers": 1, "dask": None}
-    assert run.options == {"read_as": ReadAs(8.0), "held": HeldScans(5), **rest}
+    (asked,) = run.args
+    assert asked.settings.map.preset == "lab"
+    plain = BuildRequest([Path("a.jsonl")], Path("maps"), asked.settings, ReadAs(8.0), HeldScans(5))
+    assert asked == plain
     robots = ("--robot", "a*:radius=0.3", "--robot", "r2", "--robot", "b:origin=1,2,3")
     assert ogm("build", "a.jsonl", "--out", "maps", *robots).exit_code == 0
-    assert run.options["read_as"].robot == "r2"
-    assert [(robot.match, robot.radius) for robot in run.args[2].robots] == [("a*", 0.3), ("b", None)]
+    (asked,) = run.args
+    assert asked.read_as.robot == "r2"
+    assert [(robot.match, robot.radius) for robot in asked.settings.robots] == [("a*", 0.3), ("b", None)]
     assert ogm("build", "a.jsonl", *["--out", "maps", "--world", "lab", "--figure", "a.pdf"]).exit_code == 0
-    assert (run.options["world"], run.options["figure"]) == ("lab", Path("a.pdf"))
+    assert (run.args[0].world, run.args[0].figure) == ("lab", Path("a.pdf"))
 
 
 def test_build_each(ogm, stub):
     run = stub("ogm_services.commands.build_each", "run_each")
     flags = "--out maps --each --workers 3 --world lab"
     assert ogm("build", "a.jsonl", "b.log", *flags.split()).exit_code == 0
-    assert run.args[:2] == ([Path("a.jsonl"), Path("b.log")], Path("maps"))
-    expected = {"read_as": ReadAs(), "held": HeldScans(), "world": "lab", "workers": 3, "dask": None}
-    assert run.options == expected
+    (asked,) = run.args
+    logs = [Path("a.jsonl"), Path("b.log")]
+    assert asked == BuildRequest(logs, Path("maps"), asked.settings, world="lab", workers=3)
+    assert ogm("build", "a.jsonl", *["--out", "maps", "--each", "--dask", "tcp://a:1"]).exit_code == 0
+    assert (run.args[0].workers, run.args[0].dask) == (1, "tcp://a:1")
     for flags, said in (
         ("--each --figure a.png", "--figure draws one map: leave it out with --each"),
         ("--workers 2 --dask tcp://a:1", "--workers: a Dask cluster has the workers that it has"),

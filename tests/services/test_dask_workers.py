@@ -12,6 +12,7 @@ from ogm_services.commands.batch import dask_workers
 from ogm_services.commands.batch.dask_workers import DaskWorkers
 from ogm_services.commands.batch.workers import WorkerDied
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.log_readers import ReadAs
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.settings.sources import load_settings
@@ -38,7 +39,7 @@ def scheduler():
 
 def equal_files(logs, folder, settings, scheduler, **options):
     for name, more in (("alone", {}), ("cluster", {"dask": scheduler})):
-        run_build(logs, folder / name, settings, **options, **more)
+        run_build(BuildRequest(logs, folder / name, settings, **options, **more))
     for name in FILES:
         assert (folder / "cluster" / name).read_bytes() == (folder / "alone" / name).read_bytes(), name
     return folder / "cluster"

@@ -8,6 +8,7 @@ import pytest
 
 from ogm_core.types import IDENTITY, Pose, Scan
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.results import driven_paths, figure
 from ogm_services.results.driven_paths import DrivenPath
@@ -98,7 +99,7 @@ def test_build_gives_every_robot_the_path_of_its_scans_in_the_map(monkeypatch, t
     monkeypatch.setattr(figure, "draw_map", lambda *given: drawn.append(given))
     out = tmp_path / "out"
     settings = Settings.model_validate({"mapper": {"max_speed": "inf"}})
-    run_build([log], out, settings, held=HeldScans(7), world="lab", figure=out / "two.png")
+    run_build(BuildRequest([log], out, settings, held=HeldScans(7), world="lab", figure=out / "two.png"))
     ((_, name, description, world, paths),) = drawn
     assert (name, world.name) == ("two.jsonl", "lab")
     assert description == "5 scans, resolution 0.05 m, model beam, traversal bresenham"

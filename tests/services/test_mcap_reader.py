@@ -15,6 +15,7 @@ from ogm_core.logs.recordings import RecordingReader, to_line, write_jsonl
 from ogm_core.ros2.mcap_recording import McapWriter
 from ogm_core.types import Pose, PoseStamped, Scan
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.info import run_info
 from ogm_services.commands.log_readers import ReadAs, log_reader
@@ -65,7 +66,7 @@ def test_its_map_is_that_of_json_lines(tmp_path, flags):
     write_jsonl(tmp_path / "a.jsonl", said)
     for kind in ("mcap", "jsonl"):
         log, out = tmp_path / f"a.{kind}", tmp_path / kind
-        run_build([log], out, Settings(), read_as=ReadAs(**flags), held=HeldScans(3))
+        run_build(BuildRequest([log], out, Settings(), read_as=ReadAs(**flags), held=HeldScans(3)))
     maps = [dict(np.load(tmp_path / kind / "map.npz")) for kind in ("mcap", "jsonl")]
     assert np.isfinite(maps[0]["log_odds"]).sum() > 100
     for name in maps[0]:
@@ -138,7 +139,7 @@ def test_one_that_was_cut_is_read_as_far_as_it_goes_and_that_is_told(tmp_path, c
     bytes_whole = f"{reader.position} of {cut.stat().st_size} bytes are whole"
     told = f"{bytes_whole}, of the others is read what can be, {count} scans and {count} poses"
     assert reader.doubt.startswith(f"it was cut short, or is still being recorded: {told}")
-    run_build([cut], tmp_path / "map", Settings())
+    run_build(BuildRequest([cut], tmp_path / "map", Settings()))
     said = capsys.readouterr()
     assert f"{count} scans read, {count} integrated" in said.out
     assert said.err.endswith(f"\n{cut}: {reader.doubt}\n")

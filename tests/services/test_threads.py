@@ -15,6 +15,7 @@ from ogm_core.logs.recordings import RecordedScan
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.types import Pose, Scan
 from ogm_services.commands.build import run_build
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.settings.sources import load_settings
 
@@ -95,7 +96,7 @@ def test_a_build_with_threads_makes_the_files_of_one(tmp_path, monkeypatch):
 
     monkeypatch.setattr(threading.Thread, "start", started)
     for threads in ("1", "3"):
-        run_build([log], tmp_path / threads, settings_of(threads))
+        run_build(BuildRequest([log], tmp_path / threads, settings_of(threads)))
     assert [name for name in used if name.startswith("ogm-update")] == ["ogm-update-1", "ogm-update-2"]
     assert not update_threads_alive()
     for file in ("map.npz", "map.png", "map.pgm", "map.yaml", "quality.json"):

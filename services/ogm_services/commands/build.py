@@ -5,9 +5,8 @@ are held against it, to judge how well it agrees with them: from memory, or in a
 are too large for that.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,61 +22,26 @@ from ogm_core.snapshot import MapSnapshot
 from ogm_services.commands.batch.dask_workers import DaskWorkers
 from ogm_services.commands.batch.mapping import files_of_build, map_by_workers
 from ogm_services.commands.batch.workers import WorkerProcesses, Workers
-from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
-from ogm_services.commands.log_readers import AS_IT_SAYS, ReadAs
+from ogm_services.commands.build_request import BuildRequest
+from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_report import LogReport
 from ogm_services.commands.mapped_logs import MappedLogs, map_logs, readers_of
 from ogm_services.results.figure_file import check_figure, format_of, write_figure
 from ogm_services.results.map_folder import check_place, write_map
-from ogm_services.settings.settings import Settings
 
 
-def run_build(
-    logs: Sequence[Path],
-    out: Path,
-    settings: Settings,
-    *,
-    read_as: ReadAs = AS_IT_SAYS,
-    held: HeldScans = ALL_MAPPED,
-    world: str | None = None,
-    figure: Path | None = None,
-    workers: int = 1,
-    dask: str | None = None,
-) -> None:
+def run_build(request: BuildRequest) -> None:
     """Map logs, and tell of it: see `build_map`."""
-    report, warnings = build_map(
-        *(logs, out, settings),
-        read_as=read_as,
-        held=held,
-        world=world,
-        figure=figure,
-        workers=workers,
-        dask=dask,
-    )
+    report, warnings = build_map(request)
     for line in warnings:
         typer.echo(line, err=True)
     typer.echo(report)
 
 
-def build_map(
-    logs: Sequence[Path],
-    out: Path,
-    settings: Settings,
-    *,
-    read_as: ReadAs,
-    held: HeldScans,
-    world: str | None = None,
-    figure: Path | None = None,
-    workers: int = 1,
-    dask: str | None = None,
-) -> tuple[str, list[str]]:
-    """Map logs and write map.png, map.pgm, map.yaml, map.npz and quality.json into `out`.
+def build_map(request: BuildRequest) -> tuple[str, list[str]]:
+    """Map logs and write map.png, map.pgm, map.yaml, map.npz and quality.json into the request's folder.
 
-    Of several logs also logs.json, which says what became of each.
-
-    `held` keeps scans out of the map, and judges it by them.
-    `world`, a name or path as of `world_named`, judges the map by the truth. `figure` is a file to draw in.
-    With several `workers`, processes, or those of `dask`, the address of a scheduler, the files are the same.
+    Of several logs also logs.json, which says what became of each. The files are the same whoever works.
     Returns how it went, and what should be known of the logs.
 
     Raises:
@@ -86,17 +50,18 @@ def build_map(
         BadRecording: a log cannot be read or holds no scan; nothing is written.
         MapEmpty: no scan changed the map; nothing is written.
     """
+    logs, out, figure, world = request.logs, request.out, request.figure, request.world
     warnings: list[str] = []
     true_world = None if world is None else world_named(world, tell=warnings.append)
     check_place(out)
     if figure is not None:
         check_figure(figure, out)
     check_once(logs)
-    with _mapped(logs, out, settings, read_as, held, partial(workers_of, workers, dask)) as mapped:
+    with _mapped(request) as mapped:
         snapshot, reports = mapped.grid.snapshot(), mapped.reports
         warnings += _warnings(mapped, snapshot)
         finest = snapshot.finest()
-        quality, report = _judged(mapped, finest, held), _in_words(out, reports)
+        quality, report = _judged(mapped, finest, request.held), _in_words(out, reports)
     if true_world is not None:
         quality["truth"] = truth_figures(finest, true_world)
         report += f"\n{out}: {_truth_report(true_world, quality['truth'])}"
@@ -109,29 +74,23 @@ def build_map(
 
 
 @contextmanager
-def _mapped(
-    logs: Sequence[Path],
-    out: Path,
-    settings: Settings,
-    read_as: ReadAs,
-    held: HeldScans,
-    make_workers: Callable[[], Workers | None],
-) -> Iterator[MappedLogs]:
+def _mapped(request: BuildRequest) -> Iterator[MappedLogs]:
     """The map of the logs; inside, it can be judged."""
     with ExitStack() as stack:
-        workers = make_workers()
+        workers = workers_of(request)
         if workers is None:
-            yield map_logs(readers_of(logs, read_as, settings), settings, held)
+            readers = readers_of(request.logs, request.read_as, request.settings)
+            yield map_logs(readers, request.settings, request.held)
             return
-        files, at_work = stack.enter_context(files_of_build(out)), stack.enter_context(workers)
-        yield map_by_workers(logs, settings, read_as=read_as, held=held, workers=at_work, files=files)
+        files = stack.enter_context(files_of_build(request.out))
+        yield map_by_workers(request, stack.enter_context(workers), files)
 
 
-def workers_of(count: int, dask: str | None) -> Workers | None:
+def workers_of(request: BuildRequest) -> Workers | None:
     """Who works beside this process, None if nobody does."""
-    if dask is not None:
-        return DaskWorkers(dask)
-    return None if count == 1 else WorkerProcesses(count)
+    if request.dask is not None:
+        return DaskWorkers(request.dask)
+    return None if request.workers == 1 else WorkerProcesses(request.workers)
 
 
 def check_once(logs: Sequence[Path]) -> None:

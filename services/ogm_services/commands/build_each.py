@@ -1,6 +1,7 @@
 """`ogm build --each`: every log is mapped by itself, as logs of different buildings, into its own folder."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,10 +10,8 @@ import typer
 from ogm_core.errors import BadInput, OgmError
 from ogm_services.commands.batch.tasks import Task
 from ogm_services.commands.build import build_map, check_once, workers_of
-from ogm_services.commands.held_scans import ALL_MAPPED, HeldScans
-from ogm_services.commands.log_readers import AS_IT_SAYS, ReadAs
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.results.map_folder import check_place
-from ogm_services.settings.settings import Settings
 
 
 class LogsFailed(OgmError):
@@ -30,17 +29,7 @@ class Built(NamedTuple):
     bad_input: bool = False
 
 
-def run_each(
-    logs: Sequence[Path],
-    out: Path,
-    settings: Settings,
-    *,
-    read_as: ReadAs = AS_IT_SAYS,
-    held: HeldScans = ALL_MAPPED,
-    world: str | None = None,
-    workers: int = 1,
-    dask: str | None = None,
-) -> None:
+def run_each(request: BuildRequest) -> None:
     """Map every log into a folder in `out` that is named after it, as `run_build` does.
 
     A log that gives no map is told of, and keeps none of the others from theirs.
@@ -49,16 +38,18 @@ def run_each(
         BadInput: two logs would have one folder, or it cannot be written; or all that is wrong is with logs.
         LogsFailed: some logs gave no map.
     """
+    logs, out = request.logs, request.out
     check_once(logs)
     check_place(out)
     folders = folders_of(logs, out)
-    if dask is not None:  # whose workers may be in other folders
+    if request.dask is not None:  # whose workers may be in other folders
         logs, folders = ([path.absolute() for path in paths] for paths in (logs, folders))
+    alone = replace(request, workers=1, dask=None)
     tasks = [
-        Task("build_log", (log, folder, settings, read_as, held, world), str(log), __name__)
+        Task("build_log", (replace(alone, logs=(log,), out=folder),), str(log), __name__)
         for log, folder in zip(logs, folders, strict=True)
     ]
-    others = workers_of(workers, dask)
+    others = workers_of(request)
     if others is None:
         told = [_tell(build_log(*task.arguments)) for task in tasks]
     else:
@@ -70,12 +61,10 @@ def run_each(
         raise kind(f"{len(failed)} of {len(logs)} logs gave no map: see above")
 
 
-def build_log(
-    log: Path, folder: Path, settings: Settings, read_as: ReadAs, held: HeldScans, world: str | None
-) -> Built:
+def build_log(request: BuildRequest) -> Built:
     """Map a log by itself."""
     try:
-        return Built(*build_map([log], folder, settings, read_as=read_as, held=held, world=world))
+        return Built(*build_map(request))
     except OgmError as error:
         return Built("", [], str(error), isinstance(error, BadInput))
 

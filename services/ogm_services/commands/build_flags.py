@@ -1,6 +1,5 @@
 """The command `ogm build` and its flags; what it does is in `build`, which is loaded when it runs."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -77,19 +76,12 @@ def build(
     groups = map_flags, thread_flags
     settings = settings_from(config, *groups, sensors=sensor, robots=robots, print_config=print_config)
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
-        if each:
-            with loading():
-                from ogm_services.commands.build_each import run_each as run
-        else:
-            with loading():
-                from ogm_services.commands.build import run_build
+        with loading():
+            from ogm_services.commands.build_request import BuildRequest
 
-            run = partial(run_build, figure=figure)
-        run(
-            *(logs, out, settings),
-            read_as=log_flags.read_as(bag.options(topics)),
-            held=held,
-            world=world,
-            workers=workers,
-            dask=dask,
-        )
+            if each:
+                from ogm_services.commands.build_each import run_each as run
+            else:
+                from ogm_services.commands.build import run_build as run
+        read_as = log_flags.read_as(bag.options(topics))
+        run(BuildRequest(logs, out, settings, read_as, held, world, figure, workers, dask))

@@ -28,8 +28,7 @@ from ogm_services.commands.batch.placed_scans import ScanFiles, ScanIndex
 from ogm_services.commands.batch.tasks import Task
 from ogm_services.commands.batch.work import ACCEPTED, SIDES, AreaMapped, LogPlaced
 from ogm_services.commands.batch.workers import Workers
-from ogm_services.commands.held_scans import HeldScans
-from ogm_services.commands.log_readers import ReadAs
+from ogm_services.commands.build_request import BuildRequest
 from ogm_services.commands.log_report import LogReport
 from ogm_services.commands.mapped_logs import MappedLogs, path_name
 from ogm_services.results.driven_paths import DrivenPath
@@ -59,15 +58,7 @@ def files_of_build(out: Path) -> Iterator[ScanFiles]:
         yield ScanFiles(Path(folder).absolute())
 
 
-def map_by_workers(
-    logs: Sequence[Path],
-    settings: Settings,
-    *,
-    read_as: ReadAs,
-    held: HeldScans,
-    workers: Workers,
-    files: ScanFiles,
-) -> MappedLogs:
+def map_by_workers(request: BuildRequest, workers: Workers, files: ScanFiles) -> MappedLogs:
     """Map logs, as `mapped_logs.map_logs` does; `files` are needed until they are judged.
 
     Raises:
@@ -75,32 +66,29 @@ def map_by_workers(
         LimitReached: there is no room for the map.
         WorkerDied: a worker did, time and again.
     """
-    grid = OccupancyGrid(settings.grid_settings())
-    taken, known = _placed(logs, settings, read_as, held, workers, files)
+    grid = OccupancyGrid(request.settings.grid_settings())
+    taken, known = _placed(request, workers, files)
     if known is not None:
-        _map_areas(grid, taken, known, settings, workers, files)
+        _map_areas(grid, taken, known, request.settings, workers, files)
+    logs = len(request.logs)
 
     def judge(consistency: Consistency) -> None:
-        _judge(consistency, grid, settings, len(logs), workers, files)
+        _judge(consistency, grid, request.settings, logs, workers, files)
 
     held_out = (
-        [placed for number in range(len(logs)) for placed in files.held(number)] if held.hold_out else []
+        [] if request.held.hold_out is None else [held for log in range(logs) for held in files.held(log)]
     )
     return MappedLogs(grid, [_report(one, grid.settings) for one in taken], held_out, _paths(taken), judge)
 
 
 def _placed(
-    logs: Sequence[Path],
-    settings: Settings,
-    read_as: ReadAs,
-    held: HeldScans,
-    workers: Workers,
-    files: ScanFiles,
+    request: BuildRequest, workers: Workers, files: ScanFiles
 ) -> tuple[list[_Taken], CellRect | None]:
     """The logs with the scans that the map will take, and the cells that it will know, None if none."""
+    logs, settings = request.logs, request.settings
     found = [log.absolute() for log in logs] if workers.elsewhere else logs
     tasks = [
-        Task("place_log", (files.folder, number, log, settings, read_as, held), str(log))
+        Task("place_log", (files.folder, number, log, settings, request.read_as, request.held), str(log))
         for number, log in enumerate(found)
     ]
     placed: list[LogPlaced] = workers.run("placing logs", tasks)
