@@ -2,6 +2,7 @@
 
 import gc
 import signal
+import subprocess
 import sys
 
 import pytest
@@ -69,3 +70,10 @@ def test_a_signal_waits_for_no_more_than_the_module_at_hand(tmp_path, monkeypatc
     assert end.value.exit_code == 7
     assert not {"ogm_first", "ogm_second"} & set(sys.modules)
     assert sys.meta_path == finders
+
+
+def test_a_build_loads_neither_zenoh_nor_what_only_judging_by_held_out_scans_needs():
+    program = "import sys, ogm_services.commands.build; print([name in sys.modules for name in sys.argv[1:]])"
+    names = ["ogm_services.commands.batch.work", "zenoh", "scipy.optimize"]
+    done = subprocess.run([sys.executable, "-c", program, *names], capture_output=True, text=True, check=True)
+    assert done.stdout == "[True, False, False]\n"

@@ -14,7 +14,6 @@ import typer
 
 from ogm_core.errors import BadInput, MapEmpty
 from ogm_core.quality.figures import Consistency, quality_figures
-from ogm_core.quality.held_out import held_out
 from ogm_core.quality.truth import truth_figures
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.worlds import World
@@ -131,6 +130,9 @@ def _judged(mapped: MappedLogs, snapshot: MapSnapshot, held: HeldScans) -> dict[
     mapped.judge(consistency)
     quality = quality_figures(snapshot, consistency, grid.cell_updates)
     if held.hold_out is not None:
+        # Here, because it loads SciPy, which takes a third of a second.
+        from ogm_core.quality.held_out import held_out
+
         quality["held_out"] = held_out(snapshot, grid.settings, mapped.held)
     return quality
 

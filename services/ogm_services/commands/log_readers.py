@@ -4,16 +4,18 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from ogm_core.errors import BadRecording
 from ogm_core.logs.recorded import ReadDecimals, Recorded
 from ogm_core.logs.recordings import RecordingReader
 from ogm_core.ros2.bag_files import is_bag
 from ogm_core.wire.messages import DEFAULT_MAX_BEAMS
-from ogm_services.ros2.bag_reader import BagOptions, BagReader
 from ogm_services.ros2.mcap_reader import McapReader, holds_recording
 from ogm_services.settings.settings import Settings
+
+if TYPE_CHECKING:
+    from ogm_services.ros2.bag_reader import BagOptions
 
 
 class LogReader(AbstractContextManager["LogReader"], Protocol):
@@ -54,7 +56,7 @@ class ReadAs:
     range_max: float | None = None
     robot: str | None = None
     odometry: bool = False
-    bag: BagOptions | None = None
+    bag: "BagOptions | None" = None
 
 
 AS_IT_SAYS = ReadAs()
@@ -80,6 +82,9 @@ def log_reader(
             raise BadRecording(
                 f"{log}: --odometry is for CARMEN logs; --fixed-frame odom takes a bag's odometry"
             )
+        # Here, because it loads what talks to ROS and to Zenoh, which takes a tenth of a second.
+        from ogm_services.ros2.bag_reader import BagOptions, BagReader
+
         return lambda: BagReader(
             log,
             read_as.bag or BagOptions(),
