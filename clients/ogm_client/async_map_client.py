@@ -13,9 +13,9 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 from ogm_client.errors import ClientError
 from ogm_client.follower import MapFollower
 from ogm_client.map_change import Change
-from ogm_client.map_client import DEFAULT_INTERVAL, DEFAULT_PATIENCE, MapClient, check_watch
+from ogm_client.map_client import DEFAULT_INTERVAL, DEFAULT_PATIENCE, MapClient
 from ogm_client.map_grid import MapGrid
-from ogm_client.parameters import Resolution
+from ogm_client.parameters import Resolution, check_watch
 from ogm_client.transport import Version
 
 _THREADS = 8

@@ -1,5 +1,6 @@
-"""Parameters of requests: values of Python as the texts that a mapper reads."""
+"""Parameters of requests: checked, and as the texts that a mapper reads."""
 
+import math
 import numbers
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
@@ -47,3 +48,24 @@ def _text(name: str, value: Any) -> str:  # noqa: ANN401 - a Value, or a mistake
 
 def _number(value: float) -> str:
     return str(value) if type(value) is int else repr(float(value))
+
+
+def check_watch(interval: float, patience: float) -> None:
+    """Refuse what `watch` cannot look by.
+
+    Raises:
+        BadParameter: the interval is not a positive number, or the patience is negative or none.
+    """
+    check_interval(interval)
+    if not patience >= 0.0:
+        raise BadParameter(f"patience: a number of seconds, 0 or more, is needed, got {patience}")
+
+
+def check_interval(interval: float) -> None:
+    """Refuse what is no time between two looks, s.
+
+    Raises:
+        BadParameter: it is not a positive number.
+    """
+    if not 0.0 < interval < math.inf:
+        raise BadParameter(f"interval: a positive number of seconds is needed, got {interval}")

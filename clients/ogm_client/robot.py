@@ -4,11 +4,10 @@ import math
 import time
 import uuid
 import warnings
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 import zenoh
 from numpy.typing import ArrayLike
@@ -17,8 +16,9 @@ from ogm_client.channels import Channels
 from ogm_client.errors import ClientError, NobodyAnswered, nobody
 from ogm_client.heard import not_heard
 from ogm_client.map_client import MapClient
+from ogm_client.payloads import pose_payload, scan_payload
 from ogm_client.session import CONNECT_TIMEOUT, NetworkConfig, is_secured, open_session
-from ogm_core.errors import BadMessage, BadSetting
+from ogm_core.errors import BadSetting
 from ogm_core.status import RobotStatus
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire import messages
@@ -31,7 +31,6 @@ CACHE_SAMPLES = 600
 """Scans of each sensor that a publisher keeps for a mapper that has missed them, unless told otherwise."""
 MAX_CACHE_SAMPLES = 100_000
 _DAY_NS = 86_400 * 10**9
-_M = TypeVar("_M")
 
 
 class RobotPublisher:
@@ -130,7 +129,7 @@ class RobotPublisher:
         channel = self._channels.pose()
         with channel.lock:
             now = time.time_ns() if stamp is None else self._looked_at(stamp_of(stamp))
-            channel.put(_pose_payload(PoseStamped(now, pose, channel.seq, self.run)), self.run, channel.seq)
+            channel.put(pose_payload(PoseStamped(now, pose, channel.seq, self.run)), self.run, channel.seq)
             channel.seq += 1
 
     def publish_scan(
@@ -192,7 +191,7 @@ class RobotPublisher:
             BadMessage: a mapper would refuse it; nothing is sent.
             ClientError: the publisher or its session is closed.
         """
-        payload = _pose_payload(message)
+        payload = pose_payload(message)
         self._channels.declare_run(message.run)
         self._channels.pose().put(payload, message.run, message.seq)
 
@@ -207,7 +206,7 @@ class RobotPublisher:
             BadSetting: `sensor` cannot stand in a key.
             ClientError: the publisher or its session is closed.
         """
-        payload = _scan_payload(scan)
+        payload = scan_payload(scan)
         self._channels.declare_run(scan.run)
         self._channels.scan(sensor).put(payload, scan.run, scan.seq)
 
@@ -286,22 +285,3 @@ class RobotPublisher:
                     text = f"stamp: {stamp} looks like {unit} since 1970; ns are needed"
                     warnings.warn(text, stacklevel=3)
         return stamp
-
-
-def _pose_payload(message: PoseStamped) -> bytes:
-    payload = _encoded(messages.encode_pose, message)
-    messages.decode_pose(payload)  # the receiver's rules are the rules
-    return payload
-
-
-def _scan_payload(scan: Scan) -> bytes:
-    payload = _encoded(messages.encode_scan, scan)
-    messages.decode_scan(payload)
-    return payload
-
-
-def _encoded(encode: Callable[[_M], bytes], message: _M) -> bytes:
-    try:
-        return encode(message)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise BadMessage(f"the message cannot be encoded: {error}") from error

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import zenoh
 
 from ogm_client.certificates import check_certificates, of_certificates, speaks_tls
+from ogm_client.endpoints import check_endpoint, check_hosts
 from ogm_client.errors import CannotConnect, CannotListen
 from ogm_client.zenoh_errors import reason, wrong_in_file
 from ogm_core.errors import BadSetting
@@ -33,8 +34,6 @@ SEND_TIME_US = 500_000
 
 _OF_FILE = "zenoh_config (--zenoh-config, OGM_NETWORK__ZENOH_CONFIG):"
 _RETRY = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
-_WITH_PORTS = ("tcp", "udp", "tls", "quic", "ws")
-_PROTOCOLS = (*_WITH_PORTS, "quic_datagram", "unixsock-stream", "unixpipe", "serial", "vsock")
 _PORT_0 = re.compile(r"(?P<protocol>tcp|tls|ws)/(?P<host>.+):0(?P<rest>[?#].*)?")
 
 log = logging.getLogger(__name__)
@@ -99,11 +98,11 @@ def open_session(config: NetworkConfig) -> zenoh.Session:
         CannotListen: an endpoint to listen on is taken, or is not this machine's.
     """
     for endpoint in config.connect:
-        _check_endpoint("connect", endpoint)
+        check_endpoint("connect", endpoint)
     for endpoint in config.listen:
-        _check_endpoint("listen", endpoint)
+        check_endpoint("listen", endpoint)
     settings = _hermetic(config) if config.config_file is None else _from_file(config.config_file, config)
-    _check_hosts(config.connect)
+    check_hosts(config.connect)
     check_certificates(settings, f"{_endpoints(settings, 'listen')}, {_endpoints(settings, 'connect')}")
     began, told = time.monotonic(), config.connect_timeout <= CONNECT_TIMEOUT
     turn, attempt = config.connect, _attempt(config)
@@ -215,58 +214,6 @@ def _from_file(path: Path, config: NetworkConfig) -> zenoh.Config:
 def _attempt(config: NetworkConfig) -> float:
     """How long each endpoint to connect to is tried at a time, s."""
     return min(config.connect_timeout, ATTEMPT) / max(1, len(config.connect))
-
-
-def _check_endpoint(side: str, endpoint: str) -> None:
-    """Refuse what Zenoh would try in vain, without a word of what is wrong with it."""
-    if not isinstance(endpoint, str):
-        raise BadSetting(f"{side}: a text such as {DEFAULT_ADDRESS} is needed, got {endpoint!r}")
-    protocol, slash, rest = endpoint.partition("/")
-    endpoint = masked(endpoint)
-    example = f"an endpoint looks like {DEFAULT_ADDRESS}"
-    if rest.startswith("/"):
-        raise BadSetting(f"{side} {endpoint}: a URL is no Zenoh endpoint; {example}")
-    if not slash:
-        raise BadSetting(f"{side} {endpoint}: {example}")
-    if protocol not in _PROTOCOLS:
-        raise BadSetting(
-            f"{side} {endpoint}: {masked(protocol)!r} is none of {', '.join(_PROTOCOLS)}; {example}"
-        )
-    if protocol in _WITH_PORTS:
-        host, port = _host_and_port(rest)
-        lowest = 1 if side == "connect" else 0  # port 0 takes a free one
-        if not (host and port.isascii() and port.isdigit() and lowest <= int(port[:6]) < 65536):
-            raise BadSetting(
-                f"{side} {endpoint}: a host and a port, {lowest} to 65535, are needed; {example}"
-            )
-
-
-def _host_and_port(address: str) -> tuple[str, str]:
-    """The host, without the brackets of IPv6, and the port of what follows an endpoint's protocol."""
-    host, _, port = re.split("[?#]", address, maxsplit=1)[0].rpartition(":")
-    return host.removeprefix("[").removesuffix("]"), port
-
-
-def _check_hosts(endpoints: tuple[str, ...]) -> None:
-    """Refuse endpoints whose hosts are all unknown; of one that a name server may know later, say nothing."""
-    unknown = []
-    for endpoint in endpoints:
-        protocol, _, rest = endpoint.partition("/")
-        if protocol not in _WITH_PORTS:
-            return
-        host, port = _host_and_port(rest)
-        try:
-            socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
-        except UnicodeError:  # what cannot be a name
-            unknown.append(f"{masked(endpoint)}: unknown host {masked(host)!r}")
-        except socket.gaierror as error:
-            if error.errno == socket.EAI_AGAIN:
-                return
-            unknown.append(f"{masked(endpoint)}: unknown host {masked(host)!r} ({error.strerror})")
-        else:
-            return
-    if unknown:
-        raise CannotConnect(f"cannot connect to {'; '.join(unknown)}")
 
 
 def _insert(settings: zenoh.Config, key: str, value: Any) -> None:  # noqa: ANN401 - any JSON value
