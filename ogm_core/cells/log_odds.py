@@ -14,7 +14,7 @@ Two storage forms, both with a stored 0 for "never updated", so that untouched m
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ogm_core.cells.classes import OCCUPIED, trinary
 from ogm_core.cells.forgetting import TICKS_OF_LOG_ODDS, decay_table, decayed_log_odds
+from ogm_core.cells.int16_encoding import encode_by_steps, encoded_values, steps_of
 from ogm_core.cells.model import (
     P_EDGE,
     CellEvidence,
@@ -44,7 +45,6 @@ CellType = Literal["int16", "float64"]
 FULL_SCALE = 16383
 PLANE = "log_odds"
 """Name of the model's only plane."""
-_MOST_STEPS = 4
 
 
 class CellConstants(NamedTuple):
@@ -196,10 +196,6 @@ class LogOdds(CellModel):
         steps = np.clip(np.rint((log_odds - self.l0) / self.step), *self._clamps_in_steps)
         return np.where(known, 2.0 * steps + 1.0, 0.0).astype(np.int16)
 
-    def table(self, encoder: Encoder) -> NDArray[Any]:
-        """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
-        return _table(self, encoder)
-
     def encode(self, cells: StoredCells, encoder: Encoder) -> NDArray[Any]:
         """Apply an elementwise `encoder`; to int16 by what it makes of each value."""
         encoded = np.empty(cells.shape, encoder(np.empty(0), np.empty(0, np.bool_), self.free_below).dtype)
@@ -207,10 +203,10 @@ class LogOdds(CellModel):
             part = cells[band]
             if cells.dtype == np.float64:
                 encoded[band] = encoder(self.probability(part), self.known(part), self.free_below)
-            elif _steps(self, encoder):
-                _encode_by_steps(part, _steps(self, encoder), encoded[band].view(np.uint8))
+            elif steps := steps_of(self, encoder):
+                encode_by_steps(part, steps, encoded[band].view(np.uint8))
             else:
-                np.take(self.table(encoder), part.view(np.uint16), out=encoded[band], mode="clip")
+                np.take(encoded_values(self, encoder), part.view(np.uint16), out=encoded[band], mode="clip")
         return encoded
 
     def decayed(self, planes: Planes, ticks: int) -> Planes:
@@ -235,7 +231,7 @@ class LogOdds(CellModel):
 
     def table_of(self, encoder: Encoder) -> NDArray[Any] | None:
         """What an encoder makes of every int16 cell; None of float64 cells."""
-        return self.table(encoder) if self.cells == "int16" else None
+        return encoded_values(self, encoder) if self.cells == "int16" else None
 
     def arrays(self, source: CellSource) -> dict[str, NDArray[Any]]:
         """Log odds, NaN where unknown; float64 of float64 cells, else float32."""
@@ -268,40 +264,6 @@ class LogOdds(CellModel):
         blocks = np.where(self.encode(highest, trinary) == OCCUPIED, highest, lowest)
         blocks[highest == least] = 0
         return self, {PLANE: blocks}
-
-
-@lru_cache(maxsize=16)
-def _table(model: LogOdds, encoder: Encoder) -> NDArray[Any]:
-    """What `encoder` makes of every int16 cell, shape (65536,), indexed by the cell's bits."""
-    every = np.arange(2**16, dtype=np.uint16).view(np.int16)
-    return encoder(model.probability(every), model.known(every), model.free_below)
-
-
-@lru_cache(maxsize=16)
-def _steps(model: LogOdds, encoder: Encoder) -> tuple[tuple[int, int], ...]:
-    """Stored int16 values, rising, from which on an encoder gives another byte: by how much more, modulo 256.
-
-    The first one is the lowest value, and its byte. None of what is not a byte, or steps too often.
-    """
-    table = np.roll(_table(model, encoder), 2**15)  # by the cell's value, from the lowest
-    if table.itemsize != 1:
-        return ()
-    bytes_of = table.view(np.uint8)
-    places = np.flatnonzero(np.diff(bytes_of)) + 1
-    if len(places) > _MOST_STEPS:
-        return ()
-    more = bytes_of[places] - bytes_of[places - 1]
-    rest = zip((places - 2**15).tolist(), more.tolist(), strict=True)
-    return ((-(2**15), int(bytes_of[0])), *rest)
-
-
-def _encode_by_steps(
-    cells: StoredCells, steps: tuple[tuple[int, int], ...], encoded: NDArray[np.uint8]
-) -> None:
-    """Write what `_steps` make of int16 cells: a comparison of many at once each; a table is slower."""
-    encoded[:] = steps[0][1]
-    for value, more in steps[1:]:
-        encoded += (cells >= value).view(np.uint8) * np.uint8(more)
 
 
 def _ends(dtype: np.dtype[Any]) -> tuple[Any, Any]:

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from ogm_core.placing import reasons
 from ogm_core.placing.held import Held
-from ogm_core.placing.pose_history import HistoryState, PoseHistory, nearly_equal
+from ogm_core.placing.kept_poses import HistoryState
+from ogm_core.placing.pose_history import PoseHistory, nearly_equal
 from ogm_core.placing.reasons import Reason
 from ogm_core.placing.receipts import PoseNote
 from ogm_core.placing.rules import JITTER_NS, PlacingRules, remember

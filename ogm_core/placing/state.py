@@ -16,7 +16,7 @@ import msgpack
 import numpy as np
 
 from ogm_core.errors import BadInput
-from ogm_core.placing.pose_history import HistoryState
+from ogm_core.placing.kept_poses import HistoryState
 
 OF_GONE = "/gone"
 """Key of the outcomes of scans of robots that were forgotten; no robot has an empty name."""

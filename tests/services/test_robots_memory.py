@@ -6,7 +6,7 @@ import pytest
 
 from mapper_desk import T0, Desk
 from ogm_core.placing.held import Held
-from ogm_core.placing.pose_history import POSE_BYTES
+from ogm_core.placing.kept_poses import POSE_BYTES
 from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.rules import FORGOTTEN_AFTER
 from ogm_core.placing.runs import MAX_RUNS, RUN_BYTES
