@@ -8,7 +8,7 @@ import zenoh
 
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import CellRect, Lattice
+from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.shares import Cuts
 from ogm_core.status import MapInfo, OtherCounts, PoseCounts, ScanCounts, Status, encode_status
 from ogm_core.tiles.changes import ChangedTiles
@@ -64,11 +64,13 @@ class FakeShare:
         )
         return snapshot.rect.intersection(CellRect(x0, y0, x1 - x0, y1 - y0))
 
-    def updates(self, since=None):
-        """The messages of its part, since a revision of this life, None: whole."""
+    def updates(self, since=None, region=None):
+        """The messages of its part, since a revision of this life, None: whole, and in a region."""
         snapshot = self.grid.snapshot()
         copies = snapshot.stored.tiles
         changed = ChangedTiles.since(copies, since or 0)
+        if region is not None:
+            changed = changed.meeting(snapshot.lattice.cover(region))
         own = self.layout.owners(changed.places) == self.index
         changed = ChangedTiles(copies, changed.tx[own], changed.ty[own])
         return [
@@ -90,7 +92,7 @@ class ServedShare:
         self.share = share
         self.silent = False
         self.asked = []
-        """What it was asked for since, by those who gather."""
+        """What it was asked for by those who gather: since when, or of which region."""
         self.scans = {"received": 0, "integrated": 0, "pending": 0, "dropped": {}}
         self.store = None
         self._held = []
@@ -115,12 +117,14 @@ class ServedShare:
         return session.declare_queryable(key, zenoh.handlers.Callback(asked, indirect=False), complete=False)
 
     def _part(self, parameters):
-        since = dict(part.split("=") for part in parameters.split(";") if part).get("since")
-        self.asked.append(since)
+        given = dict(part.split("=") for part in parameters.split(";") if part)
+        since, region = given.get("since"), given.get("region")
+        self.asked.append(since or region)
+        region = region and Region(*map(float, region.split(",")))
         life, _, revision = (since or "").rpartition("-")
         state = self.share.state
         same = life == f"{state.epoch}-{state.run}" and int(revision) <= state.revision
-        body = b"".join(map(encode_update, self.share.updates(int(revision) if same else None)))
+        body = b"".join(map(encode_update, self.share.updates(int(revision) if same else None, region)))
         return body, msgpack.packb(self.share.attachment())
 
     def _status(self, _):

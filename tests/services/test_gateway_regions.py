@@ -110,6 +110,50 @@ def test_where_cells_depend_on_those_around_their_shares_are_needed_too(endpoint
         assert http.get("/cell?x=-0.11&y=-1").status_code == 200
 
 
+def test_a_map_larger_than_a_gateways_memory_is_looked_at_by_region(fleet):
+    (service, http), (_, ample) = fleet.gateway(), fleet.gateway()
+    gathered = service.parts.gathered
+    gathered._max_bytes = 200_000
+    fleet.integrate(8)
+    missing = [each["share"] for each in http.get("/map.json").json()["missing"]]
+    assert 0 < len(missing) < 4
+    assert "max_memory" in http.get("/status").json()["shares"][missing[0]]["detail"]
+    assert http.get("/map.tiles").json()["type"] == "partial-map"
+    (asked := fleet.shares[missing[0]].asked).clear()
+    fleet.integrate(1)
+    for gateway in (http, ample):
+        gateway.get("/map.json")
+    assert "1e300,1e300,2e300,2e300" in asked
+    assert None not in asked, "its cells are not asked for again and again"
+    gathered._max_bytes = gathered.state.copies.nbytes + 50_000
+    for x, y in ((-1, -1), (1, -1), (-1, 1), (1, 1)):
+        for question in (
+            f"/map.npz?region={x - 1},{y - 1},{x + 1},{y + 1}",
+            *(f"/map.pgm?region={x - 1},{y - 1},{x + 1},{y + 1}", f"/cell?x={x}&y={y}"),
+            *(f"/raycast?x={x}&y={y}&n=9&angle_increment=0.7&range_max=0.9",),
+            f"/inflate.npz?radius=0.2&region={x - 0.5},{y - 0.5},{x + 0.5},{y + 0.5}",
+        ):
+            answer, whole = http.get(question), ample.get(question)
+            assert answer.content == whole.content, question
+            assert answer.headers.get("ETag") == whole.headers.get("ETag")
+        points = {"points": [[x, y]], "margin": 0.2}
+        assert http.post("/check", json=points).content == ample.post("/check", json=points).content
+    assert http.get("/map.png?region=-6,-6,6,6").json()["type"] == "busy"
+
+
+def test_of_a_map_that_begins_anew_a_gateway_holds_again_what_was_too_large(fleet):
+    service, http = fleet.gateway()
+    service.parts.gathered._max_bytes = 200_000
+    fleet.integrate(8)
+    assert "OGM-Missing" in http.get("/map.npz").headers
+    for served in fleet.shares:
+        served.share.grid.reset("another")
+    fleet.one.reset("another")
+    fleet.integrate(1)
+    http.get("/map.npz")
+    assert http.get("/map.npz").content == encode_npz(fleet.one.snapshot())
+
+
 def test_a_rectangle_meets_the_shares_that_own_its_cells():
     layout = ShareLayout.of(Cuts((-6.4, 0.0, 3.2), (3.2,)), Lattice(0.05))
     rng = np.random.default_rng(4)

@@ -277,7 +277,8 @@ def test_a_part_for_which_there_is_no_memory_is_refused_by_name():
     for share in fleet.shares:
         with contextlib.suppress(LimitReached):
             gathered.take(share.index, share.updates())
-    left = gathered.state.parts.index(None)
+    left = min(gathered.state.not_held)
+    assert gathered.state.parts[left] == fleet.shares[left].state
     with pytest.raises(LimitReached, match=r"mapper\.max_memory"):
         gathered.take(left, fleet.shares[left].updates())
     assert 0 < gathered.state.copies.nbytes <= 100_000

@@ -4,10 +4,12 @@ import math
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
+from ogm_core.errors import LimitReached
 from ogm_core.lattice import CellRect, Region
 from ogm_core.placing.receipts import Receipts
+from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import MapInfo, MissingPart, ShareState, Status
 from ogm_services.mapper.gateway.share_statuses import ShareStatuses
 from ogm_services.mapper.gateway.summed_status import OVERLOAD, summed
@@ -17,8 +19,6 @@ from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
 from ogm_services.mapper.serving.map_parameters import (
     AT,
-    CELL_X,
-    CELL_Y,
     COMPLETE,
     COMPLETE_FIRST,
     region_of,
@@ -30,7 +30,17 @@ from ogm_services.mapper.shares.gathered_map import GatheredMap
 from ogm_services.mapper.shares.gathered_views import GatheredView
 from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.share_parts import MissingShare
-from ogm_services.replies.answer import Answer, AskShares, OtherGateway, Parameters, PartOfMap
+from ogm_services.replies.answer import Answer, AskShares, Busy, OtherGateway, Parameters, PartOfMap
+
+
+class _Found(NamedTuple):
+    """What there is of some cells."""
+
+    missing: tuple[MissingShare, ...]
+    """Shares whose cells are not there."""
+    take: Callable[[], MapSnapshot] | None
+    """What takes the map with what there is of them; None: that is the newest one."""
+
 
 PLANNERS = frozenset({"pgm", "yaml"})
 """Formats that a planner loads, to which what is unknown may be free."""
@@ -94,32 +104,52 @@ class GatheredAnswers(Answers):
         super().check_ready()
         self._gathering.gather()
 
-    def check_whole(self, region: Region | None = None) -> None:
-        """Refuse what would mislead without a part of the map.
+    def whole(self, region: Region | None = None) -> Callable[[], MapSnapshot]:
+        """What takes the map, of which nothing is missing in a region, None: at all.
 
         Raises:
             Starting: the gateway has not started.
             PartOfMap: a share is missing.
+            Busy: the region takes more memory than is left.
         """
         self.check_started()
-        shares = self._shares_in(region)
-        _refuse_part(self._gathering.gather(shares).missing_of(shares))
+        return self._whole(self._cells_of(region))
 
-    def _shares_in(self, region: Region | None) -> Collection[int]:
-        """The shares that what is told of a region depends on, None: of the whole map.
+    def _whole(self, cells: CellRect | None) -> Callable[[], MapSnapshot]:
+        found = self._gathered_on(cells)
+        _refuse_part(found.missing)
+        return found.take or self._map.snapshot
+
+    def _cells_of(self, region: Region | None) -> CellRect | None:
+        """The cells that what is told of a region depends on, None: all.
 
         Raises:
             BadParameter: the region is inverted, empty or not finite.
         """
-        if region is None:
-            return range(self._gathered.layout.count)
-        return self._shares_on(self._gathered.settings.lattice.cover(region))
+        return None if region is None else self._around(self._gathered.settings.lattice.cover(region))
 
-    def _shares_on(self, cells: CellRect) -> Collection[int]:
-        """The same of some cells: around them, too, as far as the model looks."""
+    def _around(self, cells: CellRect) -> CellRect:
+        """Some cells, and those around them as far as the model looks."""
         model = self._gathered.settings.cell_model
         # Halves of cells look farther than cells: as far as what is written into one is seen around it.
-        return self._gathered.layout.met(cells.widened(max(model.margin, model.spread)))
+        return cells.widened(max(model.margin, model.spread))
+
+    def _gathered_on(self, cells: CellRect | None) -> "_Found":
+        """What the shares have of some cells, None: of all."""
+        layout, gathering = self._gathered.layout, self._gathering
+        shares: Collection[int] = range(layout.count) if cells is None else layout.met(cells)
+        if cells is None or self._gathered.state.not_held.isdisjoint(shares):
+            found = gathering.gather(shares)
+            state, missing = found.state, found.missing_of(shares)
+            # The newest map will do, which is made for all who ask, as long as nothing of it is missing.
+            return _Found(missing, (lambda: self._gathered.partial(state, missing)) if missing else None)
+        try:
+            state, missing = gathering.gather_passing(cells, shares)
+        except LimitReached as error:
+            raise Busy(f"a region is too large: {error}") from error
+        if missing:
+            return _Found(missing, lambda: self._gathered.partial(state, missing))
+        return _Found((), lambda: self._gathered.told(state))
 
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes: `complete`, too."""
@@ -142,26 +172,20 @@ class GatheredAnswers(Answers):
         if form not in MAP_FORMATS:
             # Who follows keeps what he holds of a missing share: that has to be something.
             state, missing = self._gathering.gather()
-            _refuse_part([each for each in missing if state.parts[each.share] is None])
+            never = {share for share, part in enumerate(state.parts) if part is None} | state.not_held
+            _refuse_part([each for each in missing if each.share in never])
             return super()._map_now(form, given)
         whole = _complete(form).read(given) == "1"
         rest = {name: value for name, value in given.items() if name != COMPLETE.name}
-        shares = self._shares_in(region_of(rest))
-        found = self._gathering.gather(shares)
-        state, missing = found.state, found.missing_of(shares)
-        if not missing or AT.name in rest:
-            return super()._map_now(form, rest)
+        found = self._gathered_on(self._cells_of(region_of(rest)))
         if whole:
-            _refuse_part(missing)
-        return self._maps.answer_of(lambda: self._gathered.partial(state, missing), form, rest)
+            _refuse_part(found.missing)
+        if found.take is None or AT.name in rest:
+            return super()._map_now(form, rest)
+        return self._maps.answer_of(found.take, form, rest)
 
-    def cell(self, given: Parameters) -> Answer:
-        """One cell; refused while a share is missing that it depends on."""
-        self.check_started()
-        place = self._gathered.settings.lattice.cell_of(CELL_X.read(given), CELL_Y.read(given))
-        shares = self._shares_on(CellRect(*place, 1, 1))
-        _refuse_part(self._gathering.gather(shares).missing_of(shares))
-        return super().cell(given)
+    def _with_cell(self, x: float, y: float) -> Callable[[], MapSnapshot]:
+        return self._whole(self._around(CellRect(*self._gathered.settings.lattice.cell_of(x, y), 1, 1)))
 
     def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:
         """The quality figures of what is there; `missing_shares` names the shares that are not."""

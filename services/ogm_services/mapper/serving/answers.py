@@ -9,6 +9,7 @@ from typing import Any
 
 from ogm_core.lattice import Region
 from ogm_core.placing.receipts import Receipts
+from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.monitor import Monitor
@@ -77,7 +78,7 @@ class Answers:
         self._updates = MapUpdates(followed, told, memory.large, memory.in_flight)
         self.map_tiles = MapTiles(followed, memory.cache_room, memory.in_flight)
         """The tiles of the live map, for all who want some."""
-        self.queries = Queries(live_map, self._cache, memory, self.check_whole, lambda: self.saved)
+        self.queries = Queries(live_map, self._cache, memory, self.whole, lambda: self.saved)
         """What is computed from the map for who asks."""
         memory.count(self._cache, self.map_tiles)
 
@@ -94,14 +95,15 @@ class Answers:
         """The same before a question is answered."""
         self.check_started()
 
-    def check_whole(self, region: Region | None = None) -> None:
-        """Refuse what would mislead without a part of a region of the map, None: of all of it; here none is.
+    def whole(self, region: Region | None = None) -> Callable[[], MapSnapshot]:
+        """What takes the map, of which nothing is missing in a region, None: at all; here nothing ever is.
 
         Raises:
             Starting: the mapper has not started.
         """
         del region
         self.check_ready()
+        return self._map.snapshot
 
     @property
     def at_once(self) -> bool:
@@ -210,7 +212,7 @@ class Answers:
         self.check_started()
         check_names(given, (CELL_X, CELL_Y, FINE_FIRST))
         x, y = CELL_X.read(given), CELL_Y.read(given)
-        snapshot = served(self._map.snapshot(), FINE_FIRST, given)
+        snapshot = served(self._with_cell(x, y)(), FINE_FIRST, given)
         ix, iy = snapshot.lattice.cell_of(x, y)
         column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
         reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
@@ -226,6 +228,11 @@ class Answers:
                 log_odds = snapshot.log_odds(*here).item()
                 reply |= {"known": True, "log_odds": log_odds, "probability": probability.item()}
         return _json(reply)
+
+    def _with_cell(self, x: float, y: float) -> Callable[[], MapSnapshot]:
+        """What takes the map, in which one cell is not missing."""
+        del x, y
+        return self.whole()
 
     def quality(self, given: Parameters) -> Answer:
         """The quality figures, those against the true world if there is one, and how they have settled."""

@@ -32,10 +32,10 @@ class Queries:
         live_map: ServedMap,
         cache: AnswerCache,
         memory: AnswerMemory,
-        check_ready: Callable[[Region | None], None],
+        take: Callable[[Region | None], Callable[[], MapSnapshot]],
         saved: Callable[[], SavedMaps],
     ) -> None:
-        """`check_ready` refuses while the mapper starts, and where a part of a region is missing.
+        """`take` gives what takes the map; it refuses while the mapper starts, or a region is not all there.
 
         `saved` gives the maps that are saved, or refuses where none are.
 
@@ -44,7 +44,7 @@ class Queries:
         self._map = live_map
         self._cache = cache
         self._memory = memory
-        self._check_ready = check_ready
+        self._take = take
         self._saved = saved
 
     def raycast(self, given: Parameters) -> Answer:
@@ -56,8 +56,7 @@ class Queries:
             Busy: it looks at much of a large map, and there is no memory or no thread left for it.
         """
         fan = Fan.read(given)
-        self._check_ready(fan.region)
-        whole = self._map.snapshot().finest()
+        whole = self._take(fan.region)().finest()
         part = FanCells.of(fan, whole)
         cells = part.snapshot.rect.cells
         with self._memory.large.making(cells), self._memory.in_flight.making(_bytes_of_states(part.snapshot)):
@@ -73,8 +72,7 @@ class Queries:
         """
         refuse_parameters(given, "check")
         asked = read_check(body, self._map.finest)
-        self._check_ready(self._map.finest.region_of(asked.rect))
-        whole = self._map.snapshot().finest()
+        whole = self._take(self._map.finest.region_of(asked.rect))().finest()
         window = asked.rect.intersection(whole.rect)
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
         with self._memory.large.making(window.cells), self._memory.in_flight.making(_bytes_of_states(part)):
@@ -101,7 +99,7 @@ class Queries:
     def _layer(self, name: Query, form: str, given: Parameters) -> Answer:
         layer, region, saved_as = layer_of(name, form, given), region_of(given), AT.read(given)
         # A cell more: what is looked at counts from whole cells on.
-        self._check_ready(_grown(region, layer.reach + self._map.finest.resolution))
+        take = self._take(_grown(region, layer.reach + self._map.finest.resolution))
         if saved_as is not None:  # it is not kept, as no answer of saved maps is
             with self._saved().opened(saved_as) as whole:
                 return self._made(layer, region, form, whole.finest())
@@ -109,11 +107,12 @@ class Queries:
         return self._cache.answer(
             *(key, self._map.now),
             lambda: self._memory.large.making(self._map.cells_in(_grown(region, layer.reach), finest=True)),
-            lambda: self._made_and_kept(layer, region, form, key),
+            lambda: self._made_and_kept(layer, region, form, key, take().finest()),
         )
 
-    def _made_and_kept(self, layer: Layer, region: Region | None, form: str, key: object) -> Answer:
-        whole = self._map.snapshot().finest()
+    def _made_and_kept(
+        self, layer: Layer, region: Region | None, form: str, key: object, whole: MapSnapshot
+    ) -> Answer:
         answer = self._made(layer, region, form, whole)
         self._cache.keep(key, Identity.of(whole), answer)
         self._memory.make_room()

@@ -45,6 +45,15 @@ class Gathered(NamedTuple):
     """Epoch and run of the map of all shares."""
     tag: str
     """What tells its states apart within that life."""
+    not_held: frozenset[int] = frozenset()
+    """Shares of which only how far they are is known: for their cells there is no memory."""
+
+    @classmethod
+    def of(
+        cls, parts: tuple[PartState | None, ...], copies: TileCopies, not_held: frozenset[int]
+    ) -> "Gathered":
+        """What such parts are together."""
+        return cls(parts, copies, life_of(parts), tag_of(parts), not_held)
 
     @property
     def revision(self) -> int:
@@ -94,8 +103,7 @@ class GatheredMap:
         self.tags = TileTags(layout, self._model)
         """Of its tiles; any thread."""
         self._taking = threading.Lock()
-        parts: tuple[PartState | None, ...] = (None,) * layout.count
-        self.state = Gathered(parts, no_tiles(), life_of(parts), tag_of(parts))
+        self.state = Gathered.of((None,) * layout.count, no_tiles(), frozenset())
         """The newest."""
 
     def check_share(self, share: int, told: Mapping[str, object]) -> None:
@@ -124,22 +132,47 @@ class GatheredMap:
             BadMessage: it does not follow what is held of the share.
         """
         self._check(share, updates)
-        last = updates[-1]
-        part = PartState(last.epoch, last.run, last.revision, last.stamp, last.extent)
+        part = _state_of(updates)
         with self._taking:
-            held = self.state.parts[share]
+            held = None if share in self.state.not_held else self.state.parts[share]
             if part == held:
                 return
             # Before anybody can see a tile of it.
             self.tags.note(self.state.copies.revision + 1, share, part, self.state.copies)
             copies = self._pasted(share, held, updates)
             if copies.nbytes > self._max_bytes:
+                # Nothing old of it is kept either: its state would say that it is new.
+                kept = without(self.state.copies, self.layout.table(self.state.copies.rect) == share)
+                self._set(share, part, kept, self.state.not_held | {share})
                 raise LimitReached(
                     f"with it the map takes {copies.nbytes} bytes, more than mapper.max_memory allows, "
-                    f"{self._max_bytes:.0f}: raise that of the gateway"
+                    f"{self._max_bytes:.0f}: raise that of the gateway, or ask for regions of the map"
                 )
-            parts = (*self.state.parts[:share], part, *self.state.parts[share + 1 :])
-            self.state = Gathered(parts, copies, life_of(parts), tag_of(parts))
+            self._set(share, part, copies, self.state.not_held - {share})
+
+    def note(self, share: int, updates: Sequence[MapUpdate]) -> None:
+        """Note how far a share is that is not held; one that has a new epoch is to be asked for its cells."""
+        part = _state_of(updates)
+        with self._taking:
+            before, copies, not_held = self.state.parts[share], self.state.copies, self.state.not_held
+            if before is not None and before.epoch != part.epoch:
+                self._set(share, None, copies, not_held - {share})
+            else:
+                self._set(share, part, copies, not_held)
+
+    def _set(self, share: int, part: PartState | None, copies: TileCopies, not_held: frozenset[int]) -> None:
+        """Replace the state; `_taking` is held."""
+        parts = (*self.state.parts[:share], part, *self.state.parts[share + 1 :])
+        self.state = Gathered.of(parts, copies, not_held)
+
+    def passing(self, max_bytes: float) -> "GatheredMap":
+        """An empty map of the same shares, for parts that are not to be held."""
+        return GatheredMap(self.settings, self.layout, self.run, max_bytes)
+
+    @property
+    def left(self) -> float:
+        """Bytes that it may hold beside what it does."""
+        return self._max_bytes - self.state.copies.nbytes
 
     def told(self, state: Gathered) -> MapSnapshot:
         """The map as it is named to all the world."""
@@ -220,6 +253,12 @@ class GatheredMap:
             for plane in self._model.planes
         }
         return [*changes, (gone, unknown)]
+
+
+def _state_of(updates: Sequence[MapUpdate]) -> PartState:
+    """How far a share is that has told these."""
+    last = updates[-1]
+    return PartState(last.epoch, last.run, last.revision, last.stamp, last.extent)
 
 
 def _planes_in_words(planes: Sequence[Plane]) -> str:

@@ -3,12 +3,13 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import zenoh
 
 from ogm_core.errors import BadMessage, LimitReached, OgmError, printable
+from ogm_core.lattice import CellRect
 from ogm_core.wire.keys import MapKeys
 from ogm_core.wire.map_update import MapUpdate, decode_updates
 from ogm_services.mapper.shares.gathered_map import Gathered, GatheredMap, OtherMap
@@ -18,6 +19,9 @@ from ogm_services.runtime.limited_log import LimitedLog
 
 LEAST = 0.05
 """A share that has kept silent is waited for so long at least, s, by who has waited for that already."""
+
+_BESIDE = "region=1e300,1e300,2e300,2e300"
+"""What a share is asked for that is to tell how far it is, and no cells."""
 
 log = logging.getLogger(__name__)
 
@@ -89,22 +93,46 @@ class Gathering:
             finally:
                 self._end_turns(mine)
 
+    def gather_passing(self, cells: CellRect, shares: Collection[int]) -> Result:
+        """Some cells of a map as some shares have it now; none of them are held afterwards.
+
+        Raises:
+            LimitReached: there is no memory for them.
+        """
+        bounds = self._gathered.settings.lattice.region_of(cells)
+        asked = Asked(f"region={','.join(map(repr, bounds))}", self._timeout)
+        runs = {part.run for part in self._gathered.state.parts if part is not None}
+        found, missing = self._gathered.passing(self._gathered.left), set(shares)
+        for share, answers in ask_shares(self._session, self._keys, "part", dict.fromkeys(shares, asked)):
+            # Of two processes of a share the one that is known comes last, and counts.
+            for updates in sorted(self._all_read(share, answers), key=lambda each: each[0].run in runs):
+                try:
+                    found.take(share, updates)
+                except OtherMap as error:
+                    self._refuse(share, error)
+                else:
+                    missing.discard(share)
+        state = self._gathered.state
+        parts = tuple(new or known for new, known in zip(found.state.parts, state.parts, strict=True))
+        with self._turns:
+            since = {share: self._since.get(share, time.time_ns()) for share in missing}
+        return Result(Gathered.of(parts, found.state.copies, state.not_held), self._described(since))
+
     @property
     def newest(self) -> Result:
         """What is known now, without asking anybody."""
         with self._turns:
-            layout = self._gathered.layout
-            missing = (
-                MissingShare(share, layout.bounds(share), since)
-                for share, since in sorted(self._since.items())
-            )
-            return Result(self._gathered.state, tuple(missing))
+            return Result(self._gathered.state, self._described(self._since))
 
     @property
     def refused(self) -> Mapping[int, str]:
         """Why what some shares tell is not taken."""
         with self._turns:
             return dict(self._refused)
+
+    def _described(self, since: Mapping[int, int]) -> tuple[MissingShare, ...]:
+        bounds = self._gathered.layout.bounds
+        return tuple(MissingShare(share, bounds(share), when) for share, when in sorted(since.items()))
 
     def _left(self, wanted: Collection[int], asked: float) -> list[int]:
         """Those of some shares of which nothing newer than a question is known; `_turns` is held."""
@@ -121,27 +149,27 @@ class Gathering:
 
     def _ask(self, shares: Collection[int], silent_for: float) -> None:
         """Ask shares; those that did not answer the last time are waited for `silent_for` s alone."""
-        parts, missing = self._gathered.state.parts, {each.share for each in self.newest.missing}
+        missing = {each.share for each in self.newest.missing}
         asked = {
-            share: Asked(
-                f"since={part.tag}" if (part := parts[share]) else "",
-                silent_for if share in missing else self._timeout,
-            )
+            share: Asked(self._wanted_of(share), silent_for if share in missing else self._timeout)
             for share in shares
         }
         for share, answers in ask_shares(self._session, self._keys, "part", asked):
             self._note(share, heard=self._take_newest(share, answers))
             self._end_turns([share])
 
+    def _wanted_of(self, share: int) -> str:
+        """What a share is asked for, as parameters."""
+        state = self._gathered.state
+        if share in state.not_held:
+            return _BESIDE
+        part = state.parts[share]
+        return "" if part is None else f"since={part.tag}"
+
     def _take_newest(self, share: int, answers: Sequence[ShareAnswer]) -> bool:
         """Take what the newest process of a share has answered; whether there was any."""
         taken, older = False, []
-        for answer in answers:
-            try:
-                updates = self._read(answer)
-            except OgmError as error:
-                self._refuse(share, error)
-                continue
+        for updates in self._all_read(share, answers):
             # Of a process that has been replaced nothing is taken, unless the other keeps silent.
             held = self._gathered.state.parts[share]
             if held is not None and self._is_older(share, updates[0].run, held.run):
@@ -154,6 +182,9 @@ class Gathering:
 
     def _take(self, share: int, updates: list[MapUpdate]) -> bool:
         """Take a part, if it can be."""
+        if share in self._gathered.state.not_held:
+            self._gathered.note(share, updates)
+            return False  # why not has been said
         try:
             self._gathered.take(share, updates)
         except OgmError as error:
@@ -162,6 +193,16 @@ class Gathering:
         with self._turns:
             self._refused.pop(share, None)
         return True
+
+    def _all_read(self, share: int, answers: Sequence[ShareAnswer]) -> Iterator[list[MapUpdate]]:
+        """What can be taken of what a share's processes have answered; of the rest it is noted why not."""
+        for answer in answers:
+            try:
+                updates = self._read(answer)
+            except OgmError as error:
+                self._refuse(share, error)
+            else:
+                yield updates
 
     def _read(self, answer: ShareAnswer) -> list[MapUpdate]:
         """The messages of a part.
