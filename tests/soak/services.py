@@ -26,6 +26,8 @@ class Service:
     def __init__(self, module: str, *arguments: object) -> None:
         self._command = [sys.executable, "-m", module, *map(str, arguments)]
         self._log: Any = None
+        self.environ: dict[str, str] = {}
+        """What it finds in its environment besides, at its next start."""
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -34,7 +36,7 @@ class Service:
         self.process = subprocess.Popen(
             self._command,
             cwd=ROOT,
-            env=environment(),
+            env=environment() | self.environ,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -96,24 +98,25 @@ class Mapper(Service):
         self._scans: Counter[str] = Counter()
         """Scans that were dropped or lost, in this life and those before."""
         self._life: Counter[str] = Counter()
-        self._url = ""
+        self.url = ""
+        """Where it is reached over HTTP while it is ready; then with a slash at its end."""
         self._closing = ExitStack()
 
     def start(self) -> None:
         """Start it; wait for nothing."""
         self._log = self._closing.enter_context(self.log_file.open("ab"))
         super().start()
-        self._url = ""
+        self.url = ""
 
     def wait_until_ready(self) -> None:
         """Return once it serves."""
         assert self.process is not None
-        self._url = line_after(self.process, self._served_at)
+        self.url = line_after(self.process, self._served_at)
         self.runs.add(self.status()["run"])
 
     def status(self) -> dict[str, Any]:
         """What it says of itself."""
-        status = httpx.get(f"{self._url}status", timeout=60.0).raise_for_status().json()
+        status = httpx.get(f"{self.url}status", timeout=60.0).raise_for_status().json()
         scans = status["scans"]
         poses = {f"poses {name}": count for name, count in status["poses"].items() if name != "received"}
         self._life = Counter({**poses, "scans replayed": scans["replayed"]})
@@ -124,15 +127,10 @@ class Mapper(Service):
     def waiting(self) -> int:
         """Scans that wait in its queue; 0 while it is not ready. Any thread."""
         try:
-            counts = httpx.get(f"{self._url}status", timeout=5.0).raise_for_status().json()["scans"]
+            counts = httpx.get(f"{self.url}status", timeout=5.0).raise_for_status().json()["scans"]
         except (httpx.HTTPError, httpx.InvalidURL):  # it is being killed, or starts
             return 0
         return int(counts["pending"])
-
-    @property
-    def url(self) -> str:
-        """Where it serves HTTP."""
-        return self._url
 
     @property
     def anybody_alive(self) -> bool:
@@ -159,12 +157,12 @@ class Mapper(Service):
 
     def map(self) -> tuple[bytes, int]:
         """Its /map.npz, and the revision of that."""
-        answer = httpx.get(f"{self._url}map.npz", timeout=60.0).raise_for_status()
+        answer = httpx.get(f"{self.url}map.npz", timeout=60.0).raise_for_status()
         return answer.content, int(answer.headers["OGM-Revision"])
 
     def end(self, number: signal.Signals = signal.SIGKILL) -> None:
         """End it; it is asked what it has counted before, if it is ready."""
-        if self._url:
+        if self.url:
             self.status()
         super().end(number)
 
