@@ -102,8 +102,9 @@ def started(hold):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """Pauses are short."""
+    """Pauses are short, and nobody waits for caches that do not answer but three times."""
     monkeypatch.setattr(hold_module, "PAUSES", (0.02, 0.02))
+    monkeypatch.setattr(robot_hold, "SILENT", 0.0)
 
 
 @pytest.fixture
@@ -635,6 +636,27 @@ def test_a_cache_that_does_not_answer_holds_its_robot_for_three_questions(
     assert recorder.gone == [("s", "a", 2, [1, 2])]
     for query in kept:
         query.drop()
+
+
+def test_a_cache_that_is_there_and_is_slow_is_asked_for_longer_and_nothing_is_lost(
+    hold, recorder, cache, eventually, monkeypatch
+):
+    monkeypatch.setattr(robot_hold, "SILENT", 60.0)
+    publisher, ask, failing = cache(), Caches.ask, [8]
+
+    def slow(self, robot, keys, parameters, account):
+        if failing[0]:
+            failing[0] -= 1
+            return Answer(whole=False)
+        return ask(self, robot, keys, parameters, account)
+
+    monkeypatch.setattr(Caches, "ask", slow)
+    for seq in range(6):
+        publisher.put(scan(seq))
+    hold.start()
+    take(hold, scan(0), scan(5))
+    eventually(lambda: recorder.seqs() == list(range(6)))
+    assert recorder.gone == []
 
 
 def test_nobody_waits_for_robots_whose_caches_do_not_answer(

@@ -56,7 +56,8 @@ class HoldAndAsk:
 
     What is missing then is asked for ASKS times in all, and lost after that; or at once if the cache has what
     comes before and after it, and if there is none. What was handed on is never asked for again. A robot
-    whose caches have gone is waited for, AWAY, before these times are counted.
+    whose caches have gone is waited for, AWAY, before these times are counted; one whose caches are there
+    and do not answer, as on a machine that has far too much to do, SILENT.
 
     What is resumed, out of a cache or held, waits for room: a part of the queue is for all of it. A cache
     that is there, or must be, and does not answer is asked again before anything of its robot is handed on.
@@ -241,7 +242,8 @@ class HoldAndAsk:
             if self._stopping.is_set():
                 return
             if not progress and ((gap and not handed_on) or not whole):
-                if robot.may_come_back(time.monotonic()):
+                now = time.monotonic()
+                if robot.may_come_back(now) or robot.may_answer(now):
                     robot.fails = 0
                     self._stopping.wait(PAUSES[0])
                     return  # it stays held, and is asked anew after others
@@ -273,9 +275,10 @@ class HoldAndAsk:
                         return progress, False
                 if whole:
                     robot.answered = {source.sensor for source in backlog.sources}
-            robot.unanswered = False
+            robot.note_answered(True, time.monotonic())
         except Unanswered:
-            whole, robot.unanswered = False, True
+            whole = False
+            robot.note_answered(False, time.monotonic())
         return progress, whole
 
     def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:

@@ -16,6 +16,8 @@ from ogm_services.mapper.intake.numbering import Numbering, Standing
 
 AWAY = 10.0
 """A robot whose caches go may come back within that, s: its scans wait for their poses meanwhile."""
+SILENT = 20.0
+"""A robot whose caches are there and do not answer is asked for so long, s, before what it misses is lost."""
 _COUNTED = 10_000
 """So many missing ones are looked at, whether they were decided; more are all missing."""
 
@@ -38,6 +40,8 @@ class RobotHold:
         """How often in a row it was asked in vain for what is missing."""
         self.unanswered = False
         """Whether its caches did not answer when they were asked last."""
+        self._silent_since = 0.0
+        """When they did not for the first time in a row, s."""
         self.answered: set[str | None] | None = None
         """Sensors, None for poses, whose caches had something when asked last; None: not all answered."""
         self._decided = decided
@@ -143,6 +147,17 @@ class RobotHold:
         """Whether a source's caches are gone, but not for long: its publisher may be on its way back."""
         sources = list(self._sources.values())
         return now < self._back and any(known.had_cache and not known.caches for known in sources)
+
+    def note_answered(self, answered: bool, now: float) -> None:
+        """Note whether all caches that were asked have answered."""
+        if not answered and not self.unanswered:
+            self._silent_since = now
+        self.unanswered = not answered
+
+    def may_answer(self, now: float) -> bool:
+        """Whether its caches are there and did not answer, but not for long: they may just be slow."""
+        sources = list(self._sources.values())
+        return self.unanswered and now < self._silent_since + SILENT and any(each.caches for each in sources)
 
     def is_settling(self, now: float, settling: float) -> bool:
         """Whether a cache came within the last `settling` s: others may come yet."""
