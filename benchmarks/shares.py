@@ -1,8 +1,9 @@
 """What cutting a map into shares costs: thread-CPU of integrating, beside that of one mapper.
 
 Every share is handed every scan, as the mapper of each is; what it takes to receive and place them comes on
-top of that. *All* is the sum over the shares, *the busiest* the share that has most to do: N of them on N
-cores take as long as that one. *Copies*: how many shares a scan writes cells of, on average.
+top of that, and is in what processes take, measured last. *All* is the sum over the shares, *the busiest*
+the share that has most to do: N of them on N cores take as long as that one. *Copies*: how many shares a
+scan writes cells of, on average.
 """
 
 import time
@@ -12,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks import share_processes
 from benchmarks.table import Result
 from benchmarks.workloads import Workload, big, settings_of
 from ogm_core.grid import OccupancyGrid
@@ -27,11 +29,11 @@ TARGETS = {1: 1.06, 2: 1.2, 4: 1.4}
 
 
 def run(quick: bool) -> list[Result]:
-    """Integrate workload `big` into maps of 1, 2 and 4 shares; `quick`: fewer scans and rounds."""
+    """Integrate workload `big` into maps of 1, 2 and 4 shares, then by processes; `quick`: fewer scans."""
     work = big(QUICK_SCANS if quick else SCANS)
-    return [
-        result for reach in REACHES for result in of_reach(work, reach, QUICK_ROUNDS if quick else ROUNDS)
-    ]
+    rounds = QUICK_ROUNDS if quick else ROUNDS
+    results = [result for reach in REACHES for result in of_reach(work, reach, rounds)]
+    return results + share_processes.run(quick)
 
 
 def of_reach(work: Workload, reach: float, rounds: int) -> list[Result]:
