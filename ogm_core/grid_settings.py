@@ -61,54 +61,68 @@ class GridSettings:
     max_scan_cells: int = DEFAULT_MAX_SCAN_CELLS
 
     def __post_init__(self) -> None:
+        model = _name_of(self.cell_model)
+        self._check_robots(model)
         if self.share is not None:
-            if self.separate_robots:
-                raise BadSetting(
-                    "mapper.separate_robots: a map that is cut does not keep robots apart: leave it out"
-                )
             object.__setattr__(self, "clip", self.share.clip(self.lattice))
+        self._check_distances()
+        self._check_model(model)
+        if self.half_life is not None:
+            if not self.cell_model.ticks_a_half_life:
+                raise BadSetting(f"half_life: the cells of cell model {model} do not forget: leave it out")
+            tick_length(self.half_life, self.cell_model.ticks_a_half_life)
+        self._check_bounds()
+
+    def _check_distances(self) -> None:
         if not (math.isfinite(self.alpha) and self.alpha >= 0.0):
             raise BadSetting(f"alpha: 0 m or more is needed, got {self.alpha:g}")
         if self.reach is not None and not self.reach > 0.0:
             raise BadSetting(f"reach: more than 0 m is needed, got {self.reach:g}")
         if self.clear_range is not None and not self.clear_range >= 0.0:
             raise BadSetting(f"clear_range: 0 m or more is needed, got {self.clear_range:g}")
-        name, margin = _name_of(self.cell_model), self.cell_model.margin
-        if not 0 <= margin <= MAX_MARGIN:
+
+    def _check_model(self, name: str) -> None:
+        """Whether the map can have cells of this model, and the model what is read of a scan."""
+        model = self.cell_model
+        if not 0 <= model.margin <= MAX_MARGIN:
             raise BadSetting(
-                f"cell_model: {name} looks {margin} cells around a cell, {MAX_MARGIN} at most can be"
+                f"cell_model: {name} looks {model.margin} cells around a cell, {MAX_MARGIN} at most can be"
             )
-        if any(plane.side not in {1, 2} for plane in self.cell_model.planes):
+        if any(plane.side not in {1, 2} for plane in model.planes):
             raise BadSetting(
                 f"cell_model: {name} has a plane of other than 1 or 2 numbers along a cell's side"
             )
-        least = MIN_RESOLUTION * self.cell_model.finest
-        if self.cell_model.finest > 1 and self.resolution < least:
+        least = MIN_RESOLUTION * model.finest
+        if model.finest > 1 and self.resolution < least:
             raise BadSetting(
                 f"resolution: {least:g} m or more is needed with cell model {name}, whose map is "
                 f"served in cells of half that size, got {self.resolution:g}"
             )
-        if self.sensor_model not in self.cell_model.sensor_models:
+        if self.sensor_model not in model.sensor_models:
             raise BadSetting(
                 f"sensor_model: cell model {name} takes "
-                f"{' or '.join(sorted(self.cell_model.sensor_models))}, not {self.sensor_model}"
+                f"{' or '.join(sorted(model.sensor_models))}, not {self.sensor_model}"
             )
-        self._check_robots(name)
-        if self.half_life is not None:
-            if not self.cell_model.ticks_a_half_life:
-                raise BadSetting(f"half_life: the cells of cell model {name} do not forget: leave it out")
-            tick_length(self.half_life, self.cell_model.ticks_a_half_life)
+
+    def _check_bounds(self) -> None:
         rect = self.bounds_rect
-        if rect is not None and rect.cells > self.max_cells:
+        if rect is None:
+            return
+        if rect.cells > self.max_cells:
             raise BadSetting(
                 f"bounds: {rect.width} x {rect.height} cells are more than max_cells = {self.max_cells}"
             )
-        if self.clip is not None and rect is not None and not rect.intersection(self.clip.rect).cells:
+        if self.clip is not None and not rect.intersection(self.clip.rect).cells:
             raise BadSetting(f"clip: no cell of the bounds, {rect.width} x {rect.height}, lies in it")
 
     def _check_robots(self, model: str) -> None:
+        """Whether robots can be kept apart, if they are to be."""
         if not self.separate_robots:
             return
+        if self.share is not None:
+            raise BadSetting(
+                "mapper.separate_robots: a map that is cut does not keep robots apart: leave it out"
+            )
         if not self.cell_model.adds_up:
             raise BadSetting(
                 f"mapper.separate_robots: the cells of cell model {model} do not add up, so that no robot "

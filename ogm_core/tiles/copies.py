@@ -151,24 +151,14 @@ def copy_tiles(
     numbers, copied, blocks, stale = _to_copy(store, before, current, giving_up=giving_up)
     first = 1 if before is None else before.next_number
     which = np.flatnonzero(stale)
-    planes = {}
-    for name, plane in store.planes.items():
-        given = None if room is None else room.get(name)
-        if given is None or not _fits(given, len(which), plane.cells.dtype):
-            given = np.empty((len(which), plane.tile_cells), plane.cells.dtype)
-        tiles = given[: len(which)]
-        np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
-        planes[name] = tiles
+    planes = _cells_of(store, which, room or {})
     if aging is not None:
         aging.apply(planes, store.revisions.reshape(-1)[which])
-    for tiles in planes.values():
-        tiles.flags.writeable = False
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
-    numbers.flags.writeable = False
     copied.reshape(-1)[which] = revision
-    copied.flags.writeable = False
     of = store.touched.copy() if aging is None else aged_revisions(store.touched, copied, aging.ticks)
-    of.flags.writeable = False
+    for array in (*planes.values(), numbers, copied, of):
+        array.flags.writeable = False
     if len(which):
         blocks = (*blocks, Block(first, planes, len(which)))
     lineage = object() if before is None else before.lineage
@@ -211,6 +201,18 @@ class CopyAhead(NamedTuple):
         return copy_tiles(
             *(self.store, self.revision, self.before, None, self.aging), keeping_old=self.keeping_old
         )
+
+
+def _cells_of(store: TileStore, which: NDArray[np.intp], room: Tiles) -> dict[str, NDArray[Any]]:
+    """Cells of some tiles of a store, by their places in its table; in `room`, if it is of the right size."""
+    planes = {}
+    for name, plane in store.planes.items():
+        given = room.get(name)
+        if given is None or not _fits(given, len(which), plane.cells.dtype):
+            given = np.empty((len(which), plane.tile_cells), plane.cells.dtype)
+        planes[name] = tiles = given[: len(which)]
+        np.take(plane.cells.reshape(-1, plane.tile_cells), which, axis=0, out=tiles, mode="clip")
+    return planes
 
 
 def _fits(room: NDArray[Any], tiles: int, dtype: np.dtype[Any]) -> bool:
