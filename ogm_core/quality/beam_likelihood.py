@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ogm_core.lattice import MAX_INDEX
 from ogm_core.quality.held_out_beams import DX, DY, RANGE
+from ogm_core.queries.crossings import begin, step
 
 FARTHEST = 20.0
 """A beam is followed so far, m: of a longer one it counts that it came so far."""
@@ -39,30 +40,22 @@ def crossed_cells(
     """Follow a ray from (u, v), in cells of `cells`, [iy, ix], over a length, in cells.
 
     Writes the value of every cell on its way, the one that it starts in included, and at which distance it
-    leaves it; `beyond` for what lies outside. Returns how many there are. (Amanatides & Woo 1987)
+    leaves it; `beyond` for what lies outside. Returns how many there are.
     """
     height, width = cells.shape
     if not (abs(u) < MAX_INDEX and abs(v) < MAX_INDEX):
         values[:2], ends[0], ends[1] = beyond, 0.0, longest
         return 2
     du, dv = ray[DX], ray[DY]
-    i, j = math.floor(u), math.floor(v)
-    si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
-    next_u = (i + (si > 0) - u) / du if du != 0.0 else math.inf
-    next_v = (j + (sj > 0) - v) / dv if dv != 0.0 else math.inf
+    i, j, next_u, next_v = begin(u, v, du, dv)
     n = 0
     while True:
         values[n] = cells[j, i] if 0 <= i < width and 0 <= j < height else beyond
-        ends[n] = min(next_u, next_v, longest)
+        distance, i, j, next_u, next_v = step(u, v, du, dv, i, j, next_u, next_v)
+        ends[n] = min(distance, longest)
         n += 1
-        if not min(next_u, next_v) < longest:
+        if not distance < longest:
             return n
-        if next_u <= next_v:
-            i += si
-            next_u = (i + (si > 0) - u) / du
-        else:
-            j += sj
-            next_v = (j + (sj > 0) - v) / dv
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

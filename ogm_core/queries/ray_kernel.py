@@ -1,10 +1,8 @@
 """Ray casting, compiled: the first cell that is not free on the way of a ray.
 
-J. Amanatides, A. Woo: A fast voxel traversal algorithm for ray tracing, Eurographics 1987. Its NumPy twin,
-which gives the same to the last bit, is `rays.RayCaster`.
+Its NumPy twin, which gives the same to the last bit, is `rays.RayCaster`.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ogm_core.cells.classes import FREE, OCCUPIED
+from ogm_core.queries.crossings import begin, step
 from ogm_core.queries.rays import FOUND_NOTHING, FOUND_UNKNOWN, FOUND_WALL
 
 
@@ -38,19 +37,9 @@ def cast_ray(
     the distance at which it enters that cell.
     """
     height, width = cells.shape
-    i, j = math.floor(u), math.floor(v)
-    si, sj = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
-    next_u = (i + (si > 0) - u) / du if du != 0.0 else math.inf
-    next_v = (j + (sj > 0) - v) / dv if dv != 0.0 else math.inf
+    i, j, next_u, next_v = begin(u, v, du, dv)
     while True:
-        if next_u <= next_v:
-            distance = next_u
-            i += si
-            next_u = (i + (si > 0) - u) / du
-        else:
-            distance = next_v
-            j += sj
-            next_v = (j + (sj > 0) - v) / dv
+        distance, i, j, next_u, next_v = step(u, v, du, dv, i, j, next_u, next_v)
         if distance > longest:
             return FOUND_NOTHING, longest
         column, row = i - west, j - south
