@@ -37,7 +37,10 @@ class _State(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """A copy of the map, the newest scans in the map that the copy has not, and how many the map has."""
+    """A copy of the map, the newest scans in the map that the copy has not, and how many the map has.
+
+    Of the scans of a share those alone that have told of its cells.
+    """
 
     copy: MapSnapshot
     settings: GridSettings
@@ -93,7 +96,8 @@ class LiveMap(MapWithFigures):
             except NoRoom as refusal:
                 raise self._reason_of(refusal) from refusal
             grew, self._state = self._grid.nbytes > self._state.nbytes, self._told()
-            self._recent.append(PlacedScan(scan, pose, sweep))
+            if updates or self._grid.settings.clip is None:  # else it tells of no cell that a share has
+                self._recent.append(PlacedScan(scan, pose, sweep), self._grid.revision - self._grid.erasures)
             if grew and self._memory is not None:
                 self._memory.make_room()
             return updates
@@ -223,8 +227,7 @@ class LiveMap(MapWithFigures):
             if copy is None or copy.epoch != grid.epoch:
                 return None
             scans = grid.revision - grid.erasures
-            newest = list(self._recent)[max(0, len(self._recent) - (scans - copy.scans)) :]
-            return Ahead(copy, grid.settings, newest, scans)
+            return Ahead(copy, grid.settings, self._recent.after(copy.scans), scans)
 
     def info(self) -> MapInfo:
         """The status's `map_info`; known cells may be as old as `LiveFigures.known_cells` says."""
