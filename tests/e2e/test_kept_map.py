@@ -40,10 +40,19 @@ def served(mapper):
     return {name: answer.headers[f"ogm-{name}"] for name in names}, answer.content
 
 
+def metrics(mapper):
+    return httpx.get(f"{mapper.url}metrics", timeout=30.0).text
+
+
 def stored(mapper, revision):
     """Whether so much of the map is stored, as its metrics say."""
-    metrics = httpx.get(f"{mapper.url}metrics", timeout=30.0).text
-    return f'ogm_stored_revision{{map="default"}} {revision}.0' in metrics
+    return f'ogm_stored_revision{{map="default"}} {revision}.0' in metrics(mapper)
+
+
+def counted(mapper):
+    """Scans of the robot's one sensor: received, integrated, and the last seq."""
+    (source,) = mapper.status()["robots"]["r1"]["sources"].values()
+    return source["received"], source["integrated"], source["last_seq"]
 
 
 @pytest.mark.parametrize(
@@ -64,8 +73,12 @@ def test_after_a_kill_the_map_goes_on_where_it_was_stored_and_after_a_stop_where
     again = started(ogm, data, *flags)
     assert again.status()["run"] != run
     assert served(again) == before
+    assert counted(again) == (20, 20, 19)
+    assert 'ogm_scans_integrated_total{map="default"} 0.0' in metrics(again), "counters begin anew"
     assert httpx.get(f"{again.url}readyz").status_code == 200
     drive(again, eventually, 20, 25, sweep=1)
+    assert counted(again) == (25, 25, 4)
+    assert 'ogm_scans_integrated_total{map="default"} 5.0' in metrics(again)
     last = served(again)
     assert (last[0]["revision"], last[0]["epoch"]) == ("25", before[0]["epoch"])
     assert again.command.stop().code == 0
