@@ -7,7 +7,7 @@ from rich.console import Console
 
 from ogm_core.errors import BadSetting
 from ogm_core.shares import Cuts, Share
-from ogm_core.status import ScansOfOthers, ShareState
+from ogm_core.status import ScanCounts, ScansOfOthers, ShareState
 from ogm_services.commands.demo import run_demo
 from ogm_services.commands.status import status_tables
 from ogm_services.settings.settings import Settings
@@ -41,6 +41,33 @@ def test_the_table_of_a_gateway_has_a_row_for_every_share():
     assert ["0", "up", "12", "3"] in rows
     (missing,) = [row for row in rows if row[:2] == ["1", "missing"]]
     assert missing[-2:] == ["other", "cuts"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "missing", "overload", "said"),
+    [
+        ({}, (), 0, "yes"),
+        (
+            {"received": 13},
+            (),
+            2,
+            "no: 2 dropped by shares that had no time for them; 3 received, and",
+        ),
+        ({"received": 9}, (), 0, "no: 1 counted by the share that they are of, and not received by share 0"),
+        ({}, (0, 1), 0, "no: share 0, 1 is missing"),
+        ({}, (), None, "no: a share does not say how it is"),
+    ],
+)
+def test_the_table_of_a_gateway_says_whether_scans_lack_in_shares(changes, missing, overload, said):
+    scans = ScanCounts(**{"received": 10, "integrated": 6, "pending": 1, "dropped": {"limit": 3}} | changes)
+    shares = [
+        ShareState(k, [None] * 4, "missing" if k in missing else "up", overload=overload) for k in (0, 1)
+    ]
+    shares[1] = replace(shares[1], overload=0)
+    status = replace(STATUS, scans=scans, shares=shares, complete=said == "yes")
+    (row,) = [line for line in shown(status).splitlines() if line.split()[:1] == ["complete"]]
+    assert row.split(maxsplit=1)[1].startswith(said)
+    assert "complete" not in shown(STATUS)
 
 
 @pytest.mark.parametrize("shares", [{"cuts_x": [0.0]}, {"index": 0}])

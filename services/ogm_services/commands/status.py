@@ -44,6 +44,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "of others": "" if scans.of_others is None else _nonzero(asdict(scans.of_others)),
         "a second": rates.in_words() if rates else "",
         "dropped": _nonzero(scans.dropped),
+        "complete": "" if status.complete is None else _complete(status),
         "poses": _poses(status.poses),
         "lost": _scans_and_poses(scans.lost, status.poses.lost),
         "replayed": _scans_and_poses(scans.replayed, status.poses.replayed),
@@ -75,6 +76,23 @@ def _share(share: ShareInfo) -> str:
     """Which share of the map it is, and from where to where it reaches."""
     edges = ["open" if edge is None else f"{edge:g}" for edge in share.bounds]
     return f"{share.index} of {share.shares}: x {edges[0]} to {edges[2]}, y {edges[1]} to {edges[3]} m"
+
+
+def _complete(status: Status) -> str:
+    """Whether the shares of a gateway's map have all scans, or what is known of why not."""
+    if status.complete:
+        return "yes"
+    shares, scans = status.shares or [], status.scans
+    missing = ", ".join(str(share.share) for share in shares if share.state == "missing")
+    overload = sum(share.overload or 0 for share in shares)
+    apart = scans.received - scans.integrated - scans.pending - sum(scans.dropped.values())
+    reasons = (
+        f"share {missing} is missing" if missing else "",
+        f"{overload} dropped by shares that had no time for them" if overload else "",
+        f"{apart} received, and not counted by the share that they are of" if apart > 0 else "",
+        f"{-apart} counted by the share that they are of, and not received by share 0" if apart < 0 else "",
+    )
+    return f"no: {'; '.join(filter(None, reasons)) or 'a share does not say how it is'}"
 
 
 def _shares(status: Status) -> Table:
