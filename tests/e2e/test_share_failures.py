@@ -155,6 +155,22 @@ def test_a_share_whose_store_is_lost_begins_empty_and_the_map_has_another_epoch(
     assert 0 < http.get("/status").json()["map_info"]["known_cells"] < fleet.one.snapshot().known_cells
 
 
+def test_what_was_reset_does_not_come_back_with_a_share_that_is_killed_right_then(fleet, whole, eventually):
+    http, share = fleet.http[0], fleet.shares[1]
+    with fleet.robot() as robot:
+        fleet.drive(robot, SCANS)
+        whole()
+        eventually(lambda: share.status()["store"]["revision"] == len(SCANS), SETTLED)
+    http.post("/reset").raise_for_status()
+    epoch = fleet.status(1)["epoch"]
+    share.end(signal.SIGKILL)
+    share.start()
+    share.wait_until_ready()
+    eventually(lambda: not http.get("/status").json()["missing"], SETTLED)
+    assert (fleet.status(1)["epoch"], fleet.status(1)["revision"]) == (epoch, 0)
+    assert http.get("/status").json()["map_info"]["known_cells"] == 0
+
+
 def test_a_share_whose_disk_is_full_goes_on_in_memory_and_the_gateway_says_so(
     fleet, whole, eventually, failing_disk, tmp_path
 ):

@@ -139,6 +139,15 @@ def test_it_is_on_the_disk_when_that_is_answered(keeping, over, tmp_path):
         assert fingerprint(found.grid) == fingerprint(keeping.service.live_map._grid)
 
 
+def test_a_reset_is_on_the_disk_when_that_is_answered_as_well(keeping, tmp_path):
+    status = keeping.http.post("/reset").raise_for_status().json()
+    shutil.copytree(tmp_path / "data", tmp_path / "crashed")
+    with MapStore(tmp_path / "crashed") as store:
+        found = store.restore(keeping.service.parts.grid_settings)
+    assert (found.grid.epoch, found.grid.revision) == (status["epoch"], 0)
+    assert found.grid.snapshot().known_cells == 0
+
+
 def test_a_map_that_was_saved_before_it_is_as_it_was(keeping):
     before = keeping.http.get("/map.npz").content
     keeping.http.post("/save?name=a").raise_for_status()

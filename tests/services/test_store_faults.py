@@ -205,6 +205,20 @@ def test_a_disk_that_is_full_is_told_to_who_erases(disk, start_mapper, eventuall
         assert (fingerprint(found.grid), found.grid.erasures) == (erased, 1)
 
 
+def test_a_disk_that_fails_is_told_to_who_resets(disk, start_mapper, eventually):
+    """The map is empty all the same, and is stored so once there is room."""
+    with start_mapper(mapper={"data": str(disk / "map")}) as mapper:
+        mapper.draw_cross()
+        eventually(lambda: mapper.status()["store"]["revision"] == 3)
+        fill(disk)
+        response = mapper.http.post("/reset")
+        assert (response.status_code, response.json()["type"]) == (507, "disk-full")
+        assert "the map is empty, but is not stored yet" in response.json()["detail"]
+        assert mapper.status()["revision"] == 0
+        (disk / "filler").unlink()
+        eventually(lambda: mapper.status()["store"]["revision"] == 0)
+
+
 def test_a_saver_says_that_it_fails_and_why_until_all_is_stored(tmp_path, eventually, caplog):
     story = Story(None, grid_of())
     settings = story.grid.settings

@@ -63,7 +63,7 @@ _SAVE = "Save the map of this moment under a name"
 _RESTORE = "Go on with the map that was saved under a name: a new epoch, the revision that was saved"
 _DELETE = "Delete the map that was saved under a name; those that are left"
 _OPERATIONS: Sequence[tuple[str, Write, Operation]] = (
-    ("/reset", "reset", _operation("reset", "Empty the map: a new epoch, revision 0", Status)),
+    ("/reset", "reset", _operation("reset", "Empty the map: a new epoch, revision 0", Status, (507,))),
     ("/erase", "erase", _operation("erase", _ERASE, Erasure, (404, 507), parameters=_AREA)),
     (
         "/robots/{robot}",

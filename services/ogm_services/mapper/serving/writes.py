@@ -70,9 +70,12 @@ class Writes:
     def reset(self, given: Parameters, who: str) -> Answer:
         """Empty the map, after every message that has arrived; the log says who has asked for it.
 
+        Where the map is stored it is empty on the disk in the end.
+
         Raises:
             BadParameter: there are parameters.
             Unavailable: the mapper starts, stops or is far behind.
+            DiskFull, StoreFails: the map is empty, but that is not stored yet.
         """
         refuse_parameters(given, "reset")
         self._answers.check_ready()
@@ -83,6 +86,8 @@ class Writes:
             log.info("%s has reset the map: epoch %s", who, epoch)
 
         self._worker.do(empty)
+        if self._kept_map is not None:
+            _store(self._kept_map, "the map is empty")
         return self._answers.status({})
 
     def erase(self, given: Parameters, who: str) -> Answer:
