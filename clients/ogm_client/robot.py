@@ -211,10 +211,11 @@ class RobotPublisher:
         self._channels.scan(sensor).put(payload, scan.run, scan.seq)
 
     def wait_for_mapper(self, timeout: float = 5.0) -> None:
-        """Return once somebody subscribes to this robot's poses; what was published before may be lost.
+        """Return once somebody subscribes to this robot's poses.
 
-        `timeout` in seconds. Whether access control lets the robot's messages through nobody tells in
-        advance: `feedback` does, once some have been published.
+        What was published before a mapper asks for, as far back as it is kept. `timeout` in seconds. Whether
+        access control lets the robot's messages through nobody tells in advance: `feedback` does, once some
+        have been published.
 
         Raises:
             NobodyAnswered: nobody does in time.
