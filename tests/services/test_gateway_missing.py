@@ -47,7 +47,7 @@ def test_while_a_share_is_missing_the_rest_is_told_and_says_so(fleet):
     assert "epoch" not in shown
 
 
-def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet):
+def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet, eventually):
     fleet.integrate(8)
     _, http = fleet.gateway()
     fleet.shares[1].close()
@@ -66,6 +66,7 @@ def test_what_would_mislead_without_a_share_is_refused_until_it_is_there(fleet):
     assert http.get("/cell?x=-1&y=1").json()["known"] in (True, False)
     assert http.get("/readyz").status_code == 200
     fleet.shares[1] = ServedShare(fleet.join(), fleet.shares[1].share)
+    eventually(lambda: "OGM-Missing" not in http.get("/map.png").headers)
     for asked in refused:
         assert http.get(asked).status_code == 200, asked
     assert "OGM-Missing" not in http.get("/map.png").headers

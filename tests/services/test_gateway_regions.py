@@ -48,6 +48,11 @@ def test_of_missing_shares_those_are_named_that_a_region_meets(fleet):
     # As of one mapper, where a share is missing that the region does not meet.
     assert http.get("/map.pgm?region=-3,-3,0,0").status_code == 200
     assert http.get("/map.json?region=1,1,1,2").status_code == 400
+    fleet.shares[3].close()
+    _, later = fleet.gateway()
+    # All that this one has heard of ends at 0: nobody knows that this lies outside the map.
+    assert later.get("/map.json?region=1,-3,2,-1").json()["type"] == "partial-map"
+    assert later.get("/map.json?region=-2,-3,-1,-1").status_code == 200
 
 
 def test_questions_about_a_place_are_answered_while_a_share_elsewhere_is_missing(fleet):
@@ -118,7 +123,7 @@ def test_a_map_larger_than_a_gateways_memory_is_looked_at_by_region(fleet):
     missing = [each["share"] for each in http.get("/map.json").json()["missing"]]
     assert 0 < len(missing) < 4
     assert "max_memory" in http.get("/status").json()["shares"][missing[0]]["detail"]
-    assert http.get("/map.tiles").json()["type"] == "partial-map"
+    assert "not fit into mapper.max_memory" in http.get("/map.tiles").json()["detail"]
     (asked := fleet.shares[missing[0]].asked).clear()
     fleet.integrate(1)
     for gateway in (http, ample):

@@ -117,7 +117,7 @@ class GatheredAnswers(Answers):
 
     def _whole(self, cells: CellRect | None) -> Callable[[], MapSnapshot]:
         found = self._gathered_on(cells)
-        _refuse_part(found.missing)
+        self._refuse_part(found.missing)
         return found.take or self._map.snapshot
 
     def _cells_of(self, region: Region | None) -> CellRect | None:
@@ -134,22 +134,41 @@ class GatheredAnswers(Answers):
         # Halves of cells look farther than cells: as far as what is written into one is seen around it.
         return cells.widened(max(model.margin, model.spread))
 
-    def _gathered_on(self, cells: CellRect | None) -> "_Found":
-        """What the shares have of some cells, None: of all."""
+    def _gathered_on(self, cells: CellRect | None) -> _Found:
+        """What the shares have of some cells, None: of all.
+
+        Raises:
+            PartOfMap: nothing of them is there, as shares are missing: they are not outside the map.
+            Busy: they take more memory than is left.
+        """
         layout, gathering = self._gathered.layout, self._gathering
         shares: Collection[int] = range(layout.count) if cells is None else layout.met(cells)
-        if cells is None or self._gathered.state.not_held.isdisjoint(shares):
-            found = gathering.gather(shares)
-            state, missing = found.state, found.missing_of(shares)
-            # The newest map will do, which is made for all who ask, as long as nothing of it is missing.
-            return _Found(missing, (lambda: self._gathered.partial(state, missing)) if missing else None)
+        held = cells is None or self._gathered.state.not_held.isdisjoint(shares)
         try:
-            state, missing = gathering.gather_passing(cells, shares)
+            if cells is None or held:
+                found = gathering.gather(shares)
+            else:
+                found = gathering.gather_passing(cells, shares)
         except LimitReached as error:
             raise Busy(f"a region is too large: {error}") from error
-        if missing:
-            return _Found(missing, lambda: self._gathered.partial(state, missing))
-        return _Found((), lambda: self._gathered.told(state))
+        state, missing = found.state, found.missing_of(shares)
+        if not missing:
+            return _Found((), None if held else lambda: self._gathered.told(state))
+        if cells is not None and not state.extent([each.share for each in missing]).meets(cells):
+            self._refuse_part(missing)
+        return _Found(missing, lambda: self._gathered.partial(state, missing))
+
+    def _refuse_part(self, missing: Sequence[MissingShare]) -> None:
+        """Refuse what would mislead without the shares that are missing, if there are any."""
+        if not missing:
+            return
+        names, not_held = ", ".join(str(each.share) for each in missing), self._gathered.state.not_held
+        if not_held.issuperset(each.share for each in missing):
+            raise PartOfMap(
+                f"share {names} of the map does not fit into mapper.max_memory of this gateway: raise it, or "
+                "ask for regions of the map"
+            )
+        raise PartOfMap(f"share {names} of the map does not answer: ask again in a few seconds")
 
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
         """What a format of the map takes: `complete`, too."""
@@ -173,13 +192,13 @@ class GatheredAnswers(Answers):
             # Who follows keeps what he holds of a missing share: that has to be something.
             state, missing = self._gathering.gather()
             never = {share for share, part in enumerate(state.parts) if part is None} | state.not_held
-            _refuse_part([each for each in missing if each.share in never])
+            self._refuse_part([each for each in missing if each.share in never])
             return super()._map_now(form, given)
         whole = _complete(form).read(given) == "1"
         rest = {name: value for name, value in given.items() if name != COMPLETE.name}
         found = self._gathered_on(self._cells_of(region_of(rest)))
         if whole:
-            _refuse_part(found.missing)
+            self._refuse_part(found.missing)
         if found.take is None or AT.name in rest:
             return super()._map_now(form, rest)
         return self._maps.answer_of(found.take, form, rest)
@@ -252,9 +271,3 @@ class GatheredAnswers(Answers):
 
 def _complete(form: str) -> ChoiceParameter:
     return COMPLETE_FIRST if form in PLANNERS else COMPLETE
-
-
-def _refuse_part(missing: Sequence[MissingShare]) -> None:
-    if missing:
-        names = ", ".join(str(each.share) for each in missing)
-        raise PartOfMap(f"share {names} of the map does not answer: ask again in a few seconds")
