@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import msgpack
@@ -275,10 +276,16 @@ def _run(fields: Fields) -> str:
     value = fields.get("run", "")
     if not isinstance(value, str):
         raise BadMessage(f"run: text is needed, got {_kind(value)}")
-    if value and not NAME.fullmatch(value):
+    if value and not _is_name(value):
         shown = value if len(value) <= MAX_NAME else value[:MAX_NAME] + "..."
         raise BadMessage(f"run: 1 to {MAX_NAME} of A-Z a-z 0-9 _ - . are needed, or none, got {shown!r}")
     return value
+
+
+@lru_cache(1024)
+def _is_name(text: str) -> bool:
+    """Whether a text may name a run: each does in many messages."""
+    return NAME.fullmatch(text) is not None
 
 
 def _pose(fields: Fields, name: str) -> Pose | None:
