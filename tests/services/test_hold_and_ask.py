@@ -45,7 +45,7 @@ class Recorder:
     waits: list = field(default_factory=list)
     room: bool = True
 
-    def hand_on(self, source, payload, *, resumed=False, came=None):
+    def hand_on(self, source, payload, *, resumed=False):
         head = read_head(payload)
         self.handed_on.append(payload if head is None else (source.sensor or "pose", head[2], head[1]))
 

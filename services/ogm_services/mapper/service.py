@@ -124,8 +124,8 @@ class MapperService:
 
     Threads: the worker (owns the map), those that update cells with it, the monitor (owns the series and the
     truth), the watch, one that looks for other mappers of the map, one that tells followers what has changed,
-    one for HTTP's event loop with its pool, Zenoh's own, one that takes in messages for them, a small pool
-    for its queries, and one that makes rarely used kernels ready. All of them end with the `with`.
+    one for HTTP's event loop with its pool, Zenoh's own, a small pool for its queries, and one that makes
+    rarely used kernels ready. All of them end with the `with`.
     """
 
     def __init__(self, settings: Settings, last_map: LastMap | None = None) -> None:

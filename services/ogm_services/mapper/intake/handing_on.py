@@ -93,13 +93,8 @@ def skipping(decided: Decided, outcome: Skip) -> Callable[[Source, bytes], None]
 class Intake(Protocol):
     """Where messages go, and what is told of those that do not come. Any thread."""
 
-    def hand_on(
-        self, source: Source, payload: bytes, *, resumed: bool = False, came: float | None = None
-    ) -> None:
-        """Count a message, and put it into the queue; `resumed`: it was missed before, or held back.
-
-        `came`: when it did, s of the monotonic clock; None: now.
-        """
+    def hand_on(self, source: Source, payload: bytes, *, resumed: bool = False) -> None:
+        """Count a message, and put it into the queue; `resumed`: it was missed before, or held back."""
         ...
 
     def admits(self, robot: str) -> bool:

@@ -34,14 +34,12 @@ class Reception:
         self._overload = overload or Overload(queue, receipts)
         self._complaints = LimitedLog(log)
 
-    def hand_on(
-        self, source: Source, payload: bytes, *, resumed: bool = False, came: float | None = None
-    ) -> None:
+    def hand_on(self, source: Source, payload: bytes, *, resumed: bool = False) -> None:
         """Count a message, and put it into the queue, unless it is of one robot or sensor too many.
 
-        `resumed`: it was missed before, or held back. `came`: when it did, s; None: now.
+        `resumed`: it was missed before, or held back.
         """
-        now = time.monotonic() if came is None else came
+        now = time.monotonic()
         if self._refused(source, now):
             return
         dropped = self._queue.put(Message(source, payload, now, resumed=resumed))

@@ -93,7 +93,7 @@ class RobotHold:
             if self.is_held or not known.numbering.take_next(payload):
                 return False
             known.heard = now
-            self._intake.hand_on(source, payload, came=now)
+            self._intake.hand_on(source, payload)
         return True
 
     def take(self, item: Held) -> bool:

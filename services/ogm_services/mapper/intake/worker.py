@@ -14,6 +14,7 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.sensor_rules import SensorRules
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import decode_pose, decode_scan
+from ogm_services.mapper.intake.gathering_up import GatheringUp
 from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.message import Message
 from ogm_services.mapper.intake.overload import Overload
@@ -59,6 +60,7 @@ class Worker:
         self._overload = overload or Overload(queue, receipts)
         self._sensors = sensors or SensorRules()
         self._malformed = malformed
+        self._gathering_up = GatheringUp()
         self._complaints = LimitedLog(log)
         self._bugs = LimitedLog(log)
         self._thread = threading.Thread(target=self._run, name="ogm-worker")
@@ -111,9 +113,10 @@ class Worker:
             # Up to `now` every message has been handled: up to the moment before an empty queue was looked
             # into, else up to the next message's arrival, however long the queue is.
             now = time.monotonic()
-            item = self._queue.take(LOOK_PERIOD)
+            item = self._next(now)
             if item is not None:
                 now = item.arrival
+                self._gathering_up.handled(now)
             if now - looked >= LOOK_PERIOD:
                 # Who has stood still gives what has come meanwhile time to arrive, or to be asked for.
                 before, stood_still = stood_still, now - looked > STOOD_STILL
@@ -125,6 +128,15 @@ class Worker:
             if item is not None:
                 self._handle(item)
             self._between()
+
+    def _next(self, now: float) -> Message | None:
+        """The oldest message, or None. Where many come, and all are handled, some gather first."""
+        if self._gathering_up.is_worth_while(now):
+            item = self._queue.take(0.0)
+            if item is not None or self._queue.closed:
+                return item
+            self._gathering_up.pause()
+        return self._queue.take(LOOK_PERIOD)
 
     def _handle(self, item: Message) -> None:
         """Work on a message; where others wait, tell the queue how long it took."""

@@ -1,6 +1,7 @@
 """Zenoh subscriber of a mapper or recorder, its only one for messages: it counts them and queues them."""
 
 import logging
+import time
 from contextlib import ExitStack
 from functools import lru_cache, partial
 
@@ -11,7 +12,6 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.intake.caches import Caches
-from ogm_services.mapper.intake.gathering_up import GatheringUp
 from ogm_services.mapper.intake.handing_on import Placing
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
 from ogm_services.mapper.intake.in_step import InStep
@@ -25,8 +25,6 @@ REMEMBERED_KEYS = 1000
 """Keys of messages whose sources are remembered; reading one anew does no harm."""
 MAX_KEY = 256
 """Longer than any key of a message, characters: such a one is not even remembered."""
-LARGE = 16 * 1024
-"""A payload longer than this, bytes, is taken in at once: many of them would hold much memory."""
 
 log = logging.getLogger(__name__)
 
@@ -34,9 +32,8 @@ log = logging.getLogger(__name__)
 class ZenohSubscriber:
     """Takes poses and scans alike, so that their order is kept, until `close`.
 
-    Zenoh's threads call the callbacks, which count and enqueue, and decode a message's head at most: they
-    would hold up the link. Where many messages come a thread of their own does it, see `GatheringUp`. Where a
-    pose has to wait for room they do hold it up: that slows down who sends too many.
+    Zenoh's thread calls the callbacks, which count and enqueue, and decode a message's head at most: they
+    would hold up the link. They do so where a pose has to wait for room: that slows down who sends too many.
     What is longer than any message of its kind, a scan of `max_beams` or a pose, is not even copied. The
     robots' liveliness tokens take the same way, so that the worker hears of a robot's end after what came
     before it.
@@ -66,7 +63,6 @@ class ZenohSubscriber:
         caches = Caches(session, keys, self._reception.longest)
         self.hold = HoldAndAsk(caches, placer.decided, self._reception, who, in_step)
         """What holds robots back while they are asked for what was missed."""
-        self._gathering_up = GatheringUp()
         self._complaints = LimitedLog(log)
         self._declared = ExitStack()
 
@@ -74,46 +70,37 @@ class ZenohSubscriber:
         """Declare the subscriber: from here on nothing that is put is missed."""
         self._declared.callback(self.hold.stop)
         self.hold.start()
-        self._declared.callback(self._gathering_up.stop)
-        self._gathering_up.start()
-        tokens = zenoh.handlers.Callback(self._token_came, indirect=False)
+        tokens = zenoh.handlers.Callback(self._token_changed, indirect=False)
         alive = self._keys.alive("robot", "*", "*")
         self._declared.push(self._session.liveliness().declare_subscriber(alive, tokens, history=True))
-        callback = zenoh.handlers.Callback(self._came, indirect=False)
+        callback = zenoh.handlers.Callback(self._received, indirect=False)
         self._declared.push(self._session.declare_subscriber(self._keys.robots, callback))
 
     def close(self) -> None:
         """Undeclare it: nothing more comes in."""
         self._declared.close()
 
-    def _came(self, sample: zenoh.Sample) -> None:
-        self._gathering_up.bring(self._take_in, sample, weighs=len(sample.payload) > LARGE)
-
-    def _token_came(self, sample: zenoh.Sample) -> None:
-        self._gathering_up.bring(self._token_changed, sample)
-
-    def _take_in(self, sample: zenoh.Sample, came: float) -> None:
-        """Hand a message on, or count why not."""
+    def _received(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         source = self._source_of(key) if len(key) <= MAX_KEY else None
         if source is None or sample.kind != zenoh.SampleKind.PUT:
             self._receipts.ignored()
             return
-        payload = sample.payload
-        length = len(payload)
+        length = len(sample.payload)
         if length > self._reception.longest(source):
             self._reception.refuse_long(source, length)
             self.hold.unread(source)
             if source.sensor is not None:
                 self._placer.decided.drop_unnumbered(source.robot, source.sensor, "malformed")
         else:
-            self.hold.take(source, payload.to_bytes(), came)
+            self.hold.take(source, sample.payload.to_bytes(), time.monotonic())
 
-    def _token_changed(self, sample: zenoh.Sample, now: float) -> None:
+    def _token_changed(self, sample: zenoh.Sample) -> None:
         """Have the worker told, after the messages that have come, that a robot's run is there or gone."""
         found = self._keys.robot_of(str(sample.key_expr))
         if found is None:
             return
+        now = time.monotonic()
         here = sample.kind == zenoh.SampleKind.PUT
         if here and not self._receipts.admits(found.robot, now):
             self._complaints.warning(ROBOTS, too_many_robots(found.robot).text)
