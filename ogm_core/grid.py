@@ -6,7 +6,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.evidence import Evidence, may_be_refused, observe
 from ogm_core.sensor_models.one_call import OneCall
-from ogm_core.sensor_models.update_threads import UpdateThreads
+from ogm_core.sensor_models.update_threads import SPOILT, UpdateThreads
 from ogm_core.shares import Reached
 from ogm_core.tiled_map import TiledMap
 from ogm_core.tiles.aging import Aging
@@ -77,15 +77,21 @@ class OccupancyGrid(TiledMap):
 
     def _add_at_once(self, placed: PlacedScan) -> int | None:
         """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""
-        beams, threads = placed.scan.ranges.size, self.threads
-        if self._one_call is None or (threads is not None and threads.wanted(beams)):
+        one_call, threads, beams = self._one_call, self.threads, placed.scan.ranges.size
+        if one_call is None:
             return None
+        team = None if threads is None else threads.team(self._store, beams, *one_call.into_plane)
         place = self._extent, self._store, self.max_bytes, self.revision + 1
-        updates = self._one_call.integrate(placed, *place)
+        try:
+            updates = one_call.integrate(placed, *place, team)
+        except MemoryError as error:
+            if team is not None and team.settle():
+                raise RuntimeError(SPOILT) from error
+            raise
         if threads is not None and updates is not None:
-            work = updates * self._one_call.cell_work
-            if work >= threads.worth_sharing:
-                threads.alone(beams, work)
+            work = updates * one_call.cell_work
+            if team is not None or work >= threads.worth_a_team:
+                threads.finished(team, beams, work)
         return updates
 
     def pass_over(self, stamp: int) -> None:

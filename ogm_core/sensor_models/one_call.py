@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from ogm_core.cells.model import CellModel
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models import beams, bresenham, dda
+from ogm_core.sensor_models import beams, bresenham, dda, shared_lines
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.evidence import may_be_too_large
 from ogm_core.sensor_models.projection import beam_model, directions, read_only
+from ogm_core.sensor_models.team import Team
 from ogm_core.tiles.extent import NO_CELLS, Extent
 from ogm_core.tiles.store import TILE_BITS, TileStore
 from ogm_core.types import PlacedScan, Scan
@@ -59,6 +60,8 @@ class OneCall:
         self._exact = settings.traversal == "dda"
         self.cell_work = (dda if self._exact else bresenham).CELL_WORK
         """How much work a cell is."""
+        self.into_plane = plane, constants, self._exact
+        """What a team has to know."""
         self._drops = settings.outside == "drop" and settings.bounds is not None
         self._sensors: dict[_Kind, _Sensor | None] = {}
         self._place: _Place | None = None
@@ -71,11 +74,18 @@ class OneCall:
         return cls(settings, *model.by_cell)
 
     def integrate(
-        self, placed: PlacedScan, extent: Extent, store: TileStore, max_bytes: int, revision: int
+        self,
+        placed: PlacedScan,
+        extent: Extent,
+        store: TileStore,
+        max_bytes: int,
+        revision: int,
+        team: Team | None = None,
     ) -> int | None:
         """Do what `observe` and the model's `update` do; return the number of cell updates.
 
-        None if this is no common scan: then nothing has changed. `extent` is that of the map.
+        None if this is no common scan: then nothing has changed. `extent` is that of the map. If there is a
+        `team` for this store, it helps.
         """
         scan, pose, sweep = placed
         limits = scan.range_min, scan.range_max, scan.clear_range, scan.reach
@@ -108,6 +118,7 @@ class OneCall:
             plane.cells,
             plane.column,
             self._constants,
+            None if team is None else team.arrays,
         )
         store.tiles_used += fresh
         return None if updates < 0 else updates
@@ -151,6 +162,7 @@ def _integrate(
     cells: NDArray[np.int16],
     column: NDArray[np.int64],
     constants: Plain,
+    team: Plain | None,
 ) -> tuple[int, int]:
     """Add a common scan to the cells; returns the number of updates, and of tiles that held 0 before.
 
@@ -158,7 +170,8 @@ def _integrate(
     LatticeParams, `turned` the `directions` of `beams.project_turned`; x, y and theta the sensor's, or
     `poses` at every beam, None if it stood still; `lines` room for those of projection.Beams, None along
     Bresenham's; `rects` those of `_Place`. Beams that leave the bounds count for nothing if it `drops` them.
-    There is `room` for so many more tiles. The rest is that of `bresenham.update_cells`.
+    There is `room` for so many more tiles. `team` is that of `shared_lines.update_cells`, or None. The rest
+    is that of `bresenham.update_cells`.
     """
     ends = np.empty((5, ranges.size), np.int64)
     drawn = np.empty((4, 0)) if lines is None else lines
@@ -182,6 +195,10 @@ def _integrate(
     if kept[2] < 1 or kept[3] < 1:
         return 0, 0
     inside = window[0], window[1], window[2], window[3]
+    if team is not None:
+        return shared_lines.update_cells(
+            ends, lines, inside, touched, revision, cells, column, constants, team
+        )
     if lines is None:
         return bresenham.update_cells(ends, inside, touched, revision, cells, column, constants)
     return dda.update_cells(ends, drawn, inside, touched, revision, cells, column, constants)

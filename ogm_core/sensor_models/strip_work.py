@@ -16,37 +16,53 @@ _ONE_IN = 8
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _spread(cells: float, first: int, last: int, wide: int, work: Work) -> None:
-    """Spread cells evenly over the columns from `first` to `last`, and count those inside."""
+def _spread(cells: float, first: int, last: int, wide: int, work: Work, rise: Work) -> None:
+    """Spread cells evenly over the columns from `first` to `last`, and count those inside.
+
+    `rise`, shape (n,), is by how much more each place gets than the one before, beside what is in `work`.
+    """
     each = _ONE_IN * cells / (last - first + 1)
     first, last = max(first, 0), min(last, wide * work.size - 1)
-    while first <= last:
-        place = first // wide
-        end = min(last, wide * place + wide - 1)
-        work[place] += each * (end - first + 1)
-        first = end + 1
+    if first > last:
+        return
+    left, right = first // wide, last // wide
+    work[left] += each * (min(last, wide * left + wide - 1) - first + 1)
+    if right > left:
+        work[right] += each * (last - wide * right + 1)
+        rise[left + 1] += each * wide
+        rise[right] -= each * wide
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _add_up(rise: Work, work: Work) -> None:
+    level = 0.0
+    for place in range(work.size):
+        level += rise[place]
+        work[place] += level
 
 
 @njit(cache=True, error_model="numpy")
 def work_of_beams(ends: NDArray[np.int64], bits: int, window: Plain, wide: int, work: Work) -> None:
     """Add the cells along the beams in `ends` (projection.Beams), which count in 2^-bits cells, to `work`."""
-    window = CellRect(*window)
+    window, rise = CellRect(*window), np.zeros(work.size)
     for b in range(0, ends.shape[1], _ONE_IN):
         if ends[KIND, b] == SKIPPED:
             continue
         i0, i1 = (ends[IX0, b] >> bits) - window.ix, (ends[IX, b] >> bits) - window.ix
         rows = abs(ends[IY, b] - ends[IY0, b]) >> bits
-        _spread(float(max(abs(i1 - i0), rows)), min(i0, i1), max(i0, i1), wide, work)
+        _spread(float(max(abs(i1 - i0), rows)), min(i0, i1), max(i0, i1), wide, work, rise)
+    _add_up(rise, work)
 
 
 @njit(cache=True, error_model="numpy")
 def work_of_spans(spans: NDArray[np.int32], window: Plain, wide: int, work: Work) -> None:
     """Add the cells of the spans (sensor_models.spans) to `work`."""
-    window = CellRect(*window)
+    window, rise = CellRect(*window), np.zeros(work.size)
     for n in range(0, spans.shape[0], _ONE_IN):
         first, end = spans[n, 1] - window.ix, spans[n, 2] - window.ix
         if 0 <= spans[n, 0] - window.iy < window.height:
-            _spread(float(end - first), first, end - 1, wide, work)
+            _spread(float(end - first), first, end - 1, wide, work, rise)
+    _add_up(rise, work)
 
 
 @njit(cache=True, error_model="numpy")

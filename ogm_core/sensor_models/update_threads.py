@@ -2,11 +2,15 @@
 
 Every thread reads all beams, in their order, and updates the cells of its columns alone: each cell gets the
 same evidence in the same order as from one thread, so the map is the same to the last bit.
+
+Lines in known parts of a map, where most go, are a team's (`team`, `shared_lines`): it needs no Python while
+scans come fast. All other evidence threads share here, by `update`.
 """
 
 import itertools
 import threading
 import time
+from collections.abc import Callable
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Self
@@ -15,13 +19,18 @@ import numpy as np
 
 from ogm_core.cells.model import CellModel
 from ogm_core.lattice import CellRect
+from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.evidence import Evidence
 from ogm_core.sensor_models.strip_work import even_cuts
+from ogm_core.sensor_models.team import Team
 from ogm_core.tiles.parts import StorePart, part_of_window
 from ogm_core.tiles.store import TILE, TileStore
 
+SPOILT = "a scan is in a part of the map only, which is not to be trusted now"
 LEAST_CELLS = 120_000
 """To wake up a thread for less work takes longer than it saves; cells along beams."""
+LEAST_LINES = 70_000
+"""The same for a team."""
 _AHEAD = 1 / 6
 """Of that, the calling thread has updated so many before the others have woken up."""
 _SIZES = 64
@@ -50,18 +59,21 @@ class UpdateThreads:
     """
 
     def __init__(self, count: int, *, least_cells: int = LEAST_CELLS) -> None:
-        """No thread runs before the first scan with work of `least_cells` for each of two."""
+        """No thread runs before the first scan with so much work for each of two."""
         self.count = count
         self._least = float(least_cells)
         self.worth_sharing = 2.0 * least_cells
         """From how much work on a scan is shared, in cells along beams."""
-        self._worth = [count > 1] * _SIZES
-        """Whether the last scan of up to 2^k beams was that much work, by k."""
+        self.worth_a_team = 2.0 * min(least_cells, LEAST_LINES)
+        """The same for scans that go into the map in one call."""
+        self._worth, self._worth_a_team = [count > 1] * _SIZES, [False] * _SIZES
+        """Whether the last scan of up to 2^k beams was that much work, by k; at first it is found out."""
         self._rest = self._resting = self._misses = 0
         """How many large scans one thread takes alone where sharing does not pay, how many of these are left,
         and how many have not paid in a row."""
         self._updating = threading.Lock()
-        self._inboxes: list[SimpleQueue[_Scan | None]] = []
+        self._team: Team | None = None
+        self._inboxes: list[SimpleQueue[_Job | None]] = []
         self._threads: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
@@ -83,10 +95,36 @@ class UpdateThreads:
 
     def alone(self, beams: int, work: float) -> None:
         """Note how much work it was that one thread has done for a scan; small ones need not be told of."""
-        large = self.count > 1 and work >= self.worth_sharing
-        self._worth[beams.bit_length()] = large
+        self._note(self._worth, beams, work >= self.worth_sharing)
+
+    def _note(self, worth: list[bool], beams: int, large: bool) -> None:
+        large = worth[beams.bit_length()] = large and self.count > 1
         if large and self._resting:
             self._resting -= 1
+
+    def team(self, store: TileStore, beams: int, plane: str, constants: Plain, exact: bool) -> Team | None:
+        """Who helps to update this plane of a store by a scan of so many beams; None: better nobody."""
+        if self._resting or not self._worth_a_team[beams.bit_length()]:
+            return None
+        with self._updating:
+            team = self._team
+            if team is None or not team.fits(store, beams):
+                team = self._team = Team(self.count - 1, self.worth_a_team / 2.0, store, beams, exact=exact)
+            self._start(self.count - 1)
+            for helper, inbox in enumerate(self._inboxes):
+                job = team.job(helper, store, plane, constants)
+                if job is not None:
+                    inbox.put(job)
+        return team
+
+    def finished(self, team: Team | None, beams: int, work: float) -> None:
+        """Note how much work a scan was that was integrated in one call, by a team or by one thread."""
+        times = None if team is None else team.times
+        if times is None:
+            self._note(self._worth_a_team, beams, work >= self.worth_a_team)
+        else:
+            took, alone = times
+            self._judge(paid=took < _GAIN * alone)
 
     def update(
         self,
@@ -131,7 +169,7 @@ class UpdateThreads:
             self._start(len(scan.left))
             began = time.perf_counter()
             for inbox in self._inboxes[: len(scan.left)]:
-                inbox.put(scan)
+                inbox.put(scan.take)
             updates = scan.finish()
             paid = time.perf_counter() - began + _BEFORE < _GAIN * scan.alone
             self._judge(paid=paid)
@@ -151,7 +189,7 @@ class UpdateThreads:
 
     def _start(self, count: int) -> None:
         while len(self._threads) < count:
-            inbox: SimpleQueue[_Scan | None] = SimpleQueue()
+            inbox: SimpleQueue[_Job | None] = SimpleQueue()
             name = f"ogm-update-{len(self._threads) + 1}"
             thread = threading.Thread(target=_work, args=(inbox,), name=name, daemon=True)
             thread.start()
@@ -166,6 +204,7 @@ class UpdateThreads:
         self._inboxes, self._threads = [], []
 
 
+_Job = Callable[[], object]
 _Part = tuple[int, int]
 """Its first column, and the one after its last."""
 
@@ -228,9 +267,7 @@ class _Scan:
         except Exception as error:
             if whole:  # no cell has changed, unless this is not the first of them
                 raise
-            raise RuntimeError(
-                "a scan is in a part of the map only, which is not to be trusted now"
-            ) from error
+            raise RuntimeError(SPOILT) from error
 
     def _try(self, part: _Part) -> int:
         outcome: int | BaseException
@@ -246,8 +283,8 @@ class _Scan:
         return self._model.update(self._evidence, store, window, self._revision)
 
 
-def _work(inbox: "SimpleQueue[_Scan | None]") -> None:
-    """A thread's life: it takes a part of every scan that it is told of, up to None."""
-    while (scan := inbox.get()) is not None:
-        scan.take()
-        del scan  # it has the store's memory
+def _work(inbox: "SimpleQueue[_Job | None]") -> None:
+    """A thread's life: it does what it is told, up to None."""
+    while (job := inbox.get()) is not None:
+        job()
+        del job  # it has the store's memory

@@ -28,6 +28,7 @@ from ogm_core.sensor_models import (
     counted_beams,
     dda,
     passing,
+    shared_lines,
     spans,
     strip_work,
 )
@@ -273,12 +274,14 @@ def test_scans_that_several_threads_share_wait_for_no_compiler(settings):
         strip_work.work_of_beams,
         strip_work.work_of_spans,
         strip_work.even_cuts,
+        shared_lines.serve,
+        shared_lines.update_cells,
     )
     before = compiled(kernels)
     with UpdateThreads(2, least_cells=1) as threads:
         live_map = LiveMap(OccupancyGrid(settings), threads=threads)
         for scan in scans():
-            live_map.integrate(scan, Pose(0, 0, 0))
-            live_map.integrate(scan, Pose(0, 0, 0))
+            for _ in range(3):
+                live_map.integrate(scan, Pose(0, 0, 0))
     assert compiled(kernels) == before
     assert len(strip_work.even_cuts.signatures) == 1

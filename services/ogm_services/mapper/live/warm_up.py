@@ -39,10 +39,10 @@ def warm_up(settings: GridSettings, threads: int = 1) -> None:
     Also those that cut a scan into parts, where more than one of the `threads` is to update cells.
     """
     small, scan, pose = _small(settings)
-    # None of them is started: the scan is small. But whether it is worth several has to be found out.
-    scratch = LiveMap(grid_of(small), threads=UpdateThreads(threads) if threads > 1 else None)
-    for _ in range(2):  # kernels of a scan that tells of new cells, and of one that does not
-        scratch.integrate(scan, pose)
+    with UpdateThreads(threads, least_cells=1) as helping:
+        scratch = LiveMap(grid_of(small), threads=helping if threads > 1 else None)
+        for _ in range(3):  # kernels of a scan that tells of new cells, of one that does not, and of a team
+            scratch.integrate(scan, pose)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     hits_at_robots(small)(
         PlacedScan(scan, pose),
