@@ -17,6 +17,7 @@ from ogm_core.grid_settings import GridSettings
 from ogm_core.types import Pose, Scan
 from ogm_services.mapper.live.live_map import LiveMap
 from ogm_services.mapper.serving.other_mappers import AlreadyMapped
+from ogm_services.mapper.shares.gathering import BESIDE
 
 MAP = {"resolution": 0.5, "reach": 4.0}
 STAR = {"angle_increment": math.tau / 8, "range_max": 8.0}
@@ -132,8 +133,9 @@ def test_a_region_names_the_tiles_that_it_meets(shares):
     assert (near.whole, near.tiles.tolist()) == (True, [[-1, 0]])
     (border,), _ = shares.part(0, "region=-32.5,-0.5,-31.5,0.5")
     assert {tuple(place) for place in border.tiles.tolist()} == everything
-    (beside,), _ = shares.part(0, "region=10,10,20,20")
-    assert (beside.whole, len(beside.tiles)) == (True, 0)
+    for nowhere in ("region=10,10,20,20", BESIDE):
+        (beside,), _ = shares.part(0, nowhere)
+        assert (beside.whole, len(beside.tiles), beside.revision) == (True, 0, 2)
     for wrong in ("region=1,0,-1,2", "region=1,2", "reg=1", "since=1"):
         (_, east) = (shares.both[0].ask(f"shares/{k}/part", wrong) for k in (0, 1))
         assert json.loads(east[0].err.payload.to_bytes())["type"] == "bad-parameter"

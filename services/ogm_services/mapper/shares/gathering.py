@@ -20,7 +20,7 @@ from ogm_services.runtime.limited_log import LimitedLog
 LEAST = 0.05
 """A share that has kept silent is waited for so long at least, s, by who has waited for that already."""
 
-_BESIDE = "region=1e300,1e300,2e300,2e300"
+BESIDE = "region=1e300,1e300,2e300,2e300"
 """What a share is asked for that is to tell how far it is, and no cells."""
 
 log = logging.getLogger(__name__)
@@ -162,7 +162,7 @@ class Gathering:
         """What a share is asked for, as parameters."""
         state = self._gathered.state
         if share in state.not_held:
-            return _BESIDE
+            return BESIDE
         part = state.parts[share]
         return "" if part is None else f"since={part.tag}"
 
