@@ -19,8 +19,18 @@ def dying(folder, number, times):
     return number, begun
 
 
-def failing(text):
-    """Refuse."""
+def failing(text, mark=None):
+    """Refuse; leave a mark before, if one is named."""
+    if mark:
+        Path(mark).touch()
+    raise BadRecording(text)
+
+
+def failing_after(mark, text):
+    """Refuse, once another task has left its mark."""
+    while not Path(mark).exists():
+        time.sleep(0.01)
+    time.sleep(0.2)
     raise BadRecording(text)
 
 

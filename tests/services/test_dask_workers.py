@@ -9,7 +9,7 @@ import pytest
 from dying_tasks import task
 from ogm_core.errors import BadInput, BadRecording
 from ogm_services.commands.batch import dask_workers
-from ogm_services.commands.batch.dask_workers import DaskWorkers
+from ogm_services.commands.batch.dask_workers import ClusterFailed, DaskWorkers
 from ogm_services.commands.batch.workers import WorkerDied
 from ogm_services.commands.build import run_build
 from ogm_services.commands.build_request import BuildRequest
@@ -18,6 +18,7 @@ from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.settings.sources import load_settings
 from rough_log import write_three_logs
 
+dask = pytest.importorskip("dask", reason="dask, the extra dask, is not installed")
 distributed = pytest.importorskip("distributed", reason="distributed, the extra dask, is not installed")
 pytestmark = pytest.mark.filterwarnings("ignore:.*unclosed:pytest.PytestUnraisableExceptionWarning")
 """Dask leaves a socket of its dashboard open."""
@@ -66,6 +67,10 @@ def test_a_cluster_maps_a_recorded_building_in_eight_parts(tmp_path, scheduler):
 def test_what_goes_wrong_at_a_worker_is_told(tmp_path, scheduler, monkeypatch):
     with pytest.raises(BadRecording, match=r"^a\.log: holds no scan$"), DaskWorkers(scheduler) as workers:
         workers.run("working", [task("failing", "a.log: holds no scan")])
+    late = task("failing_after", tmp_path / "failed", "b.log: holds no scan")
+    soon = task("failing", "c.log: holds no scan", tmp_path / "failed")
+    with pytest.raises(BadRecording, match=r"^b\.log: "), DaskWorkers(scheduler) as workers:
+        workers.run("working", [late, soon])
     with DaskWorkers(scheduler) as workers:
         assert workers.count == 2
         assert workers.run("working", [task("dying", tmp_path, n, 0) for n in range(5)]) == [
@@ -96,3 +101,52 @@ def test_an_address_where_nobody_is_and_a_scheduler_without_workers_are_refused(
     idle = distributed.LocalCluster(n_workers=0, dashboard_address=":0", host="127.0.0.1")
     with idle, pytest.raises(BadInput, match=r"the scheduler has no worker: start some, then build$"):
         DaskWorkers(idle.scheduler_address)
+
+
+def one_worker(**options):
+    """A cluster of one worker."""
+    return distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", host="127.0.0.1", **options
+    )
+
+
+def test_workers_that_are_paused_end_the_build_with_what_to_do(monkeypatch, eventually):
+    monkeypatch.setattr(dask_workers, "STALLED_FOR", 1.0)
+    monkeypatch.setattr(dask_workers, "LOOKED_AT", 0.1)
+    limits = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "terminate")}
+    with dask.config.set(limits), one_worker(memory_limit="1MB") as cluster:
+        address = cluster.scheduler_address
+        with distributed.Client(address, set_as_default=False) as client:
+            eventually(lambda: [one["status"] for one in workers_of(client)] == ["paused"])
+            refused(address, "1 of 1 workers are paused, as they use most of the memory that they may: give")
+
+
+def workers_of(client):
+    return client.scheduler_info(n_workers=-1)["workers"].values()
+
+
+def refused(address, why):
+    """Nobody does a task, and the build ends by this."""
+    with (
+        pytest.raises(ClusterFailed, match=f"^--dask {address}: {why}"),
+        DaskWorkers(address) as workers,
+    ):
+        workers.run("working", [task("endless")])
+
+
+def test_workers_that_are_gone_and_a_scheduler_that_goes_end_the_build(monkeypatch, eventually):
+    monkeypatch.setattr(dask_workers, "STALLED_FOR", 1.0)
+    monkeypatch.setattr(dask_workers, "LOOKED_AT", 0.1)
+    with one_worker() as cluster, DaskWorkers(cluster.scheduler_address) as workers:
+        at_work = workers._at_work
+        monkeypatch.setattr(workers, "_at_work", lambda: at_work() and cluster.close() is None)
+        with pytest.raises(ClusterFailed, match=r"the scheduler is gone: start it, then build again$"):
+            workers.run("working", [task("endless")])
+        workers._executor.shutdown(wait=False)
+    with one_worker() as cluster, DaskWorkers(cluster.scheduler_address) as workers:
+        cluster.scale(0)
+        eventually(lambda: not workers._workers())
+        why = "it has had no worker for 1 s: start some, then build again"
+        with pytest.raises(ClusterFailed, match=f"^--dask {cluster.scheduler_address}: {why}$"):
+            workers.run("working", [task("endless")])
+        workers._executor.shutdown(wait=False)

@@ -42,8 +42,16 @@ def test_a_task_that_its_workers_always_die_of_is_named_and_no_other(tmp_path):
 def test_an_error_of_a_task_is_raised_at_once_and_ends_the_others():
     began = time.monotonic()
     with pytest.raises(BadRecording, match=r"^a\.log: holds no scan$"), WorkerProcesses(2) as workers:
-        workers.run("working", [task("endless"), task("failing", "a.log: holds no scan")])
+        workers.run("working", [task("failing", "a.log: holds no scan"), task("endless")])
     assert time.monotonic() - began < 300.0  # it would take an hour
+
+
+def test_of_several_that_fail_the_first_in_order_is_named_though_it_fails_last(tmp_path):
+    late = task("failing_after", tmp_path / "failed", "b.log: holds no scan")
+    soon = task("failing", "c.log: holds no scan", tmp_path / "failed")
+    tasks = [late, soon, task("endless")]
+    with pytest.raises(BadRecording, match=r"^b\.log: holds no scan$"), WorkerProcesses(2) as workers:
+        workers.run("working", tasks)
 
 
 def test_nobody_is_started_for_nothing():

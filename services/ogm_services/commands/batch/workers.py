@@ -45,8 +45,40 @@ class Workers(AbstractContextManager["Workers"], Protocol):
         """Run tasks in any order, and return what each gave, in theirs; `text` names them all.
 
         Raises:
-            OgmError: a task did; or WorkerDied.
+            OgmError: a task did, the first in their order, whichever failed first; or WorkerDied.
         """
+
+
+class Outcomes:
+    """What tasks gave, by their numbers, and which is the first that failed: nothing after it matters."""
+
+    def __init__(self, count: int) -> None:
+        self.results: dict[int, Any] = {}
+        self._count = count
+        self._failure: BaseException | None = None
+
+    def note(self, number: int, future: "Future[Any]") -> None:
+        """Note what a task gave whose future has ended."""
+        error = future.exception()
+        if error is None:
+            self.results[number] = future.result()
+        else:
+            self.fail(number, error)
+
+    def fail(self, number: int, error: BaseException) -> None:
+        """Note that a task failed."""
+        if self.matters(number):
+            self._count, self._failure = number, error
+
+    def matters(self, number: int) -> bool:
+        """Whether a task comes before the first that failed."""
+        return number < self._count
+
+    def in_order(self) -> list[Any]:
+        """All results, once every task that matters has ended; raises what the first failed by."""
+        if self._failure is not None:
+            raise self._failure
+        return [self.results[number] for number in range(self._count)]
 
 
 class WorkerProcesses(Workers):
@@ -76,14 +108,14 @@ class WorkerProcesses(Workers):
         """See `Workers.run`."""
         with progress_bar(text, len(tasks), counted=True) as show:
             run = _Run(tasks)
-            while len(run.results) < len(tasks):
+            while run.left:
                 while (number := run.next(self.count)) is not None:
                     run.running[self._begin(tasks[number])] = number
                 run.collect()
                 if run.broken:
                     self._renew()
-                show(len(run.results))
-        return [run.results[number] for number in range(len(tasks))]
+                show(len(run.outcomes.results))
+            return run.outcomes.in_order()
 
     def _begin(self, task: Task) -> "Future[Any]":
         try:
@@ -113,7 +145,7 @@ class _Run:
     """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
-        self.results: dict[int, Any] = {}
+        self.outcomes = Outcomes(len(tasks))
         self.running: dict[Future[Any], int] = {}
         self.broken = False
         self._tasks = tasks
@@ -121,6 +153,11 @@ class _Run:
         self._suspects: deque[int] = deque()
         self._alone = False
         self._deaths: Counter[int] = Counter()
+
+    @property
+    def left(self) -> bool:
+        """Whether a task that matters has not ended."""
+        return any((self.running, self._waiting, self._suspects))
 
     def next(self, most: int) -> int | None:
         """The number of a task that is to begin now, if `most` may run; None: none is."""
@@ -133,11 +170,7 @@ class _Run:
         return self._waiting.popleft()
 
     def collect(self) -> None:
-        """Wait until a task has ended, and note what it gave; see whether workers died.
-
-        Raises:
-            OgmError: the task did; or WorkerDied.
-        """
+        """Wait until a task has ended, and note what it gave; see whether workers died."""
         done, _ = wait(self.running, return_when=FIRST_COMPLETED)
         self.broken = any(isinstance(future.exception(), BrokenExecutor) for future in done)
         if self.broken:
@@ -148,15 +181,25 @@ class _Run:
             if isinstance(future.exception(), BrokenExecutor):
                 dead.append(number)
             else:
-                self.results[number] = future.result()
+                self.outcomes.note(number, future)
         for number in sorted(dead):
-            self._deaths[number] += 1
-            if self._deaths[number] >= MOST_DEATHS:
-                raise WorkerDied(
-                    f"{self._tasks[number].about}: {MOST_DEATHS} workers have died of it: is there no memory "
-                    "left? Fewer --workers need less"
-                )
+            self._died(number)
+        matters = self.outcomes.matters
+        self.running = {future: number for future, number in self.running.items() if matters(number)}
+        self._waiting = deque(filter(matters, self._waiting))
+        self._suspects = deque(filter(matters, self._suspects))
+
+    def _died(self, number: int) -> None:
+        """Note that a task may have killed its worker."""
+        self._deaths[number] += 1
+        if self._deaths[number] < MOST_DEATHS:
             self._suspects.append(number)
+            return
+        why = (
+            f"{self._tasks[number].about}: {MOST_DEATHS} workers have died of it: is there no memory left? "
+            "Fewer --workers need less"
+        )
+        self.outcomes.fail(number, WorkerDied(why))
 
 
 def _begin_worker() -> None:
