@@ -6,6 +6,7 @@ is paused, and Python seldom gives memory back. Loads `distributed`, which is th
 asked for.
 """
 
+import socket
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -51,8 +52,9 @@ class DaskWorkers(Workers):
         except ImportError as error:
             raise MissingExtra("--dask needs distributed: pip install 'zenoh-ogm[dask]'") from error
         try:
-            # Before a client is made: one that was given no port takes a minute to be let go of.
-            parse_host_port(parse_address(address)[1])
+            # Before a client is made: one tries on where nobody listens, and takes a minute to be let go of.
+            host = parse_host_port(parse_address(address)[1])
+            socket.create_connection(host, timeout=CONNECTED_WITHIN).close()
             self._client = Client(address, timeout=CONNECTED_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise BadInput(f"--dask {address}: no scheduler answers there: {error}") from error
