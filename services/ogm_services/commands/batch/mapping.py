@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm_core.cells.model import Plane
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
@@ -149,15 +150,14 @@ def _map_areas(
         "", len(stamps), int(stamps.max()), updates, known, grid.bounds or known, 0, mapped[0].time
     )
     _check_room(grid, sum(area.tiles for area in mapped), known)
-    grid.restore(state, (tile for number in range(len(mapped)) for tile in _tiles(files, number)))
+    planes = grid.model.planes
+    grid.restore(state, (tile for number in range(len(mapped)) for tile in _tiles(files, number, planes)))
 
 
-def _tiles(files: ScanFiles, area: int) -> Iterator[KeptTile]:
-    arrays = files.arrays(f"area-{area}")
-    names = [name for name in arrays if name.startswith("plane ")]
-    for number, (tx, ty, revision) in enumerate(arrays["tiles"].tolist()):
-        cells = {name.removeprefix("plane "): arrays[name][number] for name in names}
-        yield KeptTile(tx, ty, revision, cells)
+def _tiles(files: ScanFiles, area: int, planes: Sequence[Plane]) -> Iterator[KeptTile]:
+    of_planes = {plane.name: files.large(f"area-{area}-{plane.name}") for plane in planes}
+    for number, (tx, ty, revision) in enumerate(files.large(f"area-{area}").tolist()):
+        yield KeptTile(tx, ty, revision, {name: cells[number] for name, cells in of_planes.items()})
 
 
 def _check_room(grid: OccupancyGrid, tiles: int, known: CellRect) -> None:
@@ -209,7 +209,7 @@ def _judge(
 ) -> None:
     """Have the scans that are in the map held against it, as many by each worker."""
     beliefs = consistency.beliefs
-    files.write_arrays(SIDES, {SIDES: beliefs.sides})
+    files.write_large(SIDES, beliefs.sides)
     edges = [grid.revision * number // workers.count for number in range(workers.count + 1)]
     tasks = [
         Task(

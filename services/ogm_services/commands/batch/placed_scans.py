@@ -125,7 +125,7 @@ class ScanFiles:
         return list(_unpickled((self.folder / f"held-{log}").read_bytes()))
 
     def write_arrays(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Write arrays under a name."""
+        """Write small arrays under a name."""
         packed = io.BytesIO()
         np.savez(packed, **arrays)  # type: ignore[arg-type]
         self.write(name, packed.getvalue())
@@ -134,6 +134,18 @@ class ScanFiles:
         """The arrays of this name."""
         with np.load(self.folder / name, allow_pickle=False) as arrays:
             return dict(arrays)
+
+    def write_large(self, name: str, array: NDArray[Any]) -> None:
+        """Write an array that may be large under a name."""
+        part = self.new()
+        with part.open("wb") as file:
+            np.save(file, array, allow_pickle=False)
+        self.name(part, name)
+
+    def large(self, name: str) -> NDArray[Any]:
+        """The array of this name, of which those parts are read that are looked at."""
+        # Private, not read-only, for which kernels would have to be compiled once more.
+        return np.asarray(np.load(self.folder / name, mmap_mode="c", allow_pickle=False))
 
 
 def _packed(placed: PlacedScan) -> bytes:

@@ -7,7 +7,7 @@ it may run in another process, on another machine that has the same disk, and tw
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,15 +117,13 @@ def map_area(folder: Path, area: int, clip: Clip, settings: Settings, logs: int)
             _integrate(grid, placed)
         others.pass_over(len(taken))
     tiles = list(grid.checkpoint().tiles_since(0))
-    arrays: dict[str, NDArray[Any]] = {
-        "tiles": np.array([(tile.tx, tile.ty, tile.revision) for tile in tiles], np.int64).reshape(-1, 3)
-    }
-    for plane in grid.model.planes:
-        size = (64 * plane.side) ** 2
-        cells = [tile.planes[plane.name] for tile in tiles]
-        arrays[f"plane {plane.name}"] = np.concatenate([np.empty(0, plane.dtype), *cells]).reshape(-1, size)
+    places = np.array([(tile.tx, tile.ty, tile.revision) for tile in tiles], np.int64).reshape(-1, 3)
     with written(folder, "--out"):
-        files.write_arrays(f"area-{area}", arrays)
+        files.write_large(f"area-{area}", places)
+        for plane in grid.model.planes:
+            cells = [np.empty(0, plane.dtype), *(tile.planes[plane.name] for tile in tiles)]
+            side = 64 * plane.side
+            files.write_large(f"area-{area}-{plane.name}", np.concatenate(cells).reshape(-1, side * side))
     return AreaMapped(grid.time, grid.cell_updates, len(tiles))
 
 
@@ -166,7 +164,7 @@ def judge_scans(
 ) -> NDArray[np.int64]:
     """Hold scans `first` to `end`, of those that are in the map, against it; see `Consistency.take`."""
     files, grid_settings = ScanFiles(folder), settings.grid_settings()
-    beliefs = Beliefs(lattice, window, files.arrays(SIDES)[SIDES])
+    beliefs = Beliefs(lattice, window, files.large(SIDES))
     accepted, counts, before = files.arrays(ACCEPTED), np.zeros(4, np.int64), 0
     for log in range(logs):
         taken = accepted[str(log)]
