@@ -38,10 +38,11 @@ test-web: $(VENV)/.web
 	@tests/web/install.sh
 	$(BIN)/python -m pytest $(WEB) -rs $(ARGS)
 
-# What the tests of the core run, kernels included: as plain Python, which takes a quarter of an hour.
+# What the tests of the core run, kernels included: as plain Python, many times slower, and with a warning where a kernel
+# counts on bytes that wrap around.
 coverage: $(VENV)/.dev
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/core --cov=ogm_core --cov-branch \
-		--cov-report=term-missing:skip-covered $(ARGS)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PARALLEL) tests/core -W "ignore:overflow encountered:RuntimeWarning" \
+		--cov=ogm_core --cov-branch --cov-report=term-missing:skip-covered $(ARGS)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
