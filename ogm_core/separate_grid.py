@@ -6,7 +6,8 @@
 
 A scan is counted twice, in its robot's planes and in the sum. Sums stop where the planes of a robot do, at
 the largest number that a plane holds: in whatever order scans come, the sum is that of the robots' planes.
-To leave one out, the tiles that it has written are summed anew, of those of the others.
+To leave one out, the tiles that it has written are summed anew, of those of the others; where no
+other has written they take no memory any more.
 """
 
 import sys
@@ -28,7 +29,7 @@ from ogm_core.tiles.copies import CopyAhead, TileCopies, Tiles
 from ogm_core.tiles.erasing import erase, written_rect
 from ogm_core.tiles.polygon import Polygon
 from ogm_core.tiles.store import TileStore
-from ogm_core.tiles.summing import mark, revisions_at, sum_tiles, written_tiles
+from ogm_core.tiles.summing import empty, mark, revisions_at, sum_tiles, written_tiles
 from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 _MOST_NAMED = 20
@@ -179,10 +180,14 @@ class SeparateGrid(OccupancyGrid):
         gone = written_tiles(self._robots.pop(robot).store)
         self.revision += 1
         self.erasures += 1
+        left = np.zeros(len(gone), np.bool_)
         for store in self._stores:
-            mark(store, gone[revisions_at(store, gone) > 0], self.revision)
-        sum_tiles(self._store, gone, self._stores, self.model.add)
-        mark(self._store, gone, self.revision)
+            written = revisions_at(store, gone) > 0
+            mark(store, gone[written], self.revision)
+            left |= written
+        sum_tiles(self._store, gone[left], self._stores, self.model.add)
+        mark(self._store, gone[left], self.revision)
+        empty(self._store, gone[~left], self.revision)
         self._know()
 
     def copies_ahead(self) -> list[CopyAhead]:

@@ -156,7 +156,7 @@ def copy_tiles(
         aging.apply(planes, store.revisions.reshape(-1)[which])
     numbers.reshape(-1)[which] = np.arange(first, first + len(which))
     copied.reshape(-1)[which] = revision
-    of = store.touched.copy() if aging is None else aged_revisions(store.touched, copied, aging.ticks)
+    of = np.array(store.revisions) if aging is None else aged_revisions(store.touched, copied, aging.ticks)
     for array in (*planes.values(), numbers, copied, of):
         array.flags.writeable = False
     if len(which):

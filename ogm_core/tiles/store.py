@@ -77,7 +77,10 @@ class TileStore:
         self.touched: NDArray[np.int64] = np.zeros(shape, np.int64)
         """Revision that last wrote into each tile, shape (tiles in x, tiles in y); 0: never."""
         self.aged: NDArray[np.int64] | None = None
-        """Revision at which each tile last aged in place (see tiles.aging), 0: never; None: none has."""
+        """Revision at which each tile last aged in place (see tiles.aging), or was emptied; None: none was.
+
+        0: never. What was emptied is `touched` no more, until it is written again.
+        """
         self.current = 0, CellRect(0, 0, 0, 0)
         """A tick, by its revision, and a rectangle of cells whose tiles have missed none up to that one."""
         self.tiles_used = 0
@@ -100,7 +103,7 @@ class TileStore:
 
     @property
     def revisions(self) -> NDArray[np.int64]:
-        """Revision that each tile's cells are of: the last that wrote them, or let them age; 0: never."""
+        """Revision that each tile's cells are of: the last that wrote them, let them age, or emptied them."""
         return self.touched if self.aged is None else np.maximum(self.touched, self.aged)
 
     @property
@@ -188,14 +191,31 @@ class TileStore:
             for tx, rows in enumerate(written):
                 for ty in rows:
                     target[tx + dx, ty + dy] = source[tx, ty]
-                other.forget_strip(name, tx)
+                other.give_back(name, tx * len(other.touched[tx]), len(other.touched[tx]))
 
-    def forget_strip(self, name: str, tx: int) -> None:
-        """Give the memory of a plane's strip number `tx` back to the system; its cells then read 0."""
+    def give_back(self, name: str, first: int, count: int) -> bool:
+        """Give the memory of some tiles of a plane, in strips from `first` on, back to the system.
+
+        Their cells then read 0; False: nothing was done, as they do not fill its pages.
+        """
         plane = self.planes[name]
-        size = self.touched.shape[1] * plane.tile_cells * plane.cells.itemsize
-        if hasattr(mmap, "MADV_DONTNEED") and (tx * size) % mmap.PAGESIZE == 0:
-            self._memory[name].madvise(mmap.MADV_DONTNEED, tx * size, size)
+        size = plane.tile_cells * plane.cells.itemsize
+        if not hasattr(mmap, "MADV_DONTNEED") or (first * size | count * size) % mmap.PAGESIZE:
+            return False
+        self._memory[name].madvise(mmap.MADV_DONTNEED, first * size, count * size)
+        return True
+
+    def empty(self, tx: NDArray[np.int64], ty: NDArray[np.int64], revision: int) -> None:
+        """Make tiles unknown, in a revision, which take no memory then: as if they had never been written."""
+        self.tiles_used -= int(np.count_nonzero(self.touched[tx, ty]))
+        self.touched[tx, ty] = 0
+        if self.aged is None:
+            self.aged = np.zeros_like(self.touched)
+        self.aged[tx, ty] = revision
+        for place in (tx * self.touched.shape[1] + ty).tolist():
+            for name, plane in self.planes.items():
+                if not self.give_back(name, place, 1):
+                    plane.cells.reshape(-1, plane.tile_cells)[place] = 0
 
     def write(self, rect: CellRect, planes: Mapping[str, NDArray[Any]]) -> None:
         """Put the cells of `rect` in place: each plane's [iy, ix]; what lies outside is left out.

@@ -57,6 +57,12 @@ def mark(store: TileStore, places: NDArray[np.int64], revision: int | NDArray[np
     store.touched[tx, ty] = revision
 
 
+def empty(store: TileStore, places: NDArray[np.int64], revision: int) -> None:
+    """Empty these tiles of the lattice, all in `store`, in a revision."""
+    tx, ty = _within(store, places).T
+    store.empty(tx, ty, revision)
+
+
 def _add_tiles(
     sums: Mapping[str, NDArray[Any]], places: NDArray[np.int64], other: TileStore, add: Add
 ) -> None:

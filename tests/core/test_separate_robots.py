@@ -146,6 +146,26 @@ def tiles_of(grid):
     return {(tile.tx, tile.ty) for tile in grid.checkpoint().tiles_since(0)}
 
 
+def test_what_a_robot_alone_has_seen_takes_no_memory_without_it():
+    """And counts again when it is seen again."""
+    settings = settings_with()
+    grid, others = mapped(settings, *WHERE), mapped(settings, "a", "b")
+    whole = grid.nbytes
+    sum_of = OccupancyGrid.nbytes.fget
+    tables = sum_of(grid) - grid._store.tiles_used * grid._store.tile_bytes
+    grid.forget("c")
+    assert grid._store.tiles_used == others._store.tiles_used
+    assert sum_of(grid) == tables + others._store.tiles_used * others._store.tile_bytes
+    assert np.count_nonzero(grid._store.touched) == grid._store.tiles_used
+    assert_same_cells(grid, others)
+    mapped(settings, "c", grid=grid)
+    assert_same_cells(grid, mapped(settings, *WHERE))
+    assert grid.nbytes == whole
+    copy = grid.snapshot().stored.tiles
+    assert tiles_of(grid) == tiles_of(mapped(settings, *WHERE))
+    assert ChangedTiles.since(copy, copy.revision).places.size == 0
+
+
 def test_a_robot_that_comes_again_is_a_new_one():
     settings = settings_with()
     grid = mapped(settings, "a", "b")
