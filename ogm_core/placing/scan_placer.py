@@ -11,7 +11,7 @@ from ogm_core.placing.other_robots import OtherRobots
 from ogm_core.placing.outcomes import Outcomes
 from ogm_core.placing.placement import Placement, ScanSink, is_ready
 from ogm_core.placing.receipts import Receipts, Whose
-from ogm_core.placing.robot import Expected, Robot
+from ogm_core.placing.robot import Robot
 from ogm_core.placing.robot_poses import Verdict
 from ogm_core.placing.robots import Complain, Robots
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
@@ -285,19 +285,16 @@ class ScanPlacer:
         """Drop what waits for poses of the history that has ended."""
         owner, sources = robot.poses.owner, robot.sources
 
-        def is_of_before(item: Waiting) -> bool:
+        def is_of_before(run: str, sensor: str, number: int) -> bool:
             if verdict.new_owner:
-                return item.scan.run != owner
-            step_at = sources[item.sensor].step_at
-            return step_at is None or item.number < step_at
+                return run != owner
+            step_at = sources[sensor].step_at
+            return step_at is None or number < step_at
 
-        def was_of_before(item: Expected) -> bool:
-            if verdict.new_owner:
-                return item.run != owner
-            step_at = sources[item.sensor].step_at
-            return step_at is None or item.number < step_at
-
-        self._waiting.give_up(name, robot, reasons.began_anew(verdict.began or ""), is_of_before)
-        robot.forget_expected(was_of_before)
+        self._waiting.give_up(
+            *(name, robot, reasons.began_anew(verdict.began or "")),
+            lambda item: is_of_before(item.scan.run, item.sensor, item.number),
+        )
+        robot.forget_expected(lambda item: is_of_before(item.run, item.sensor, item.number))
         for source in sources.values():
             source.step_at = None
