@@ -11,7 +11,7 @@ from ogm_core.cells.log_odds import LogOdds
 from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
-from ogm_core.lattice import Clip, Region
+from ogm_core.lattice import Region
 from ogm_core.quality.bounded import bounded_figures
 from ogm_core.quality.figures import Consistency, map_figures
 from ogm_core.quality.truth import truth_figures
@@ -178,23 +178,6 @@ def test_quality_is_that_of_the_map_and_of_its_scans(live):
     assert (quality["known_m2"], quality["free_m2"], quality["occupied_m2"]) == (1.0, 0.25, 0.25)
     # One of two hits ended, and one of four passes went through, where p is a half.
     assert quality["consistency"] == {"hits": 0.5, "free": 0.75}
-
-
-def test_a_share_is_judged_by_the_scans_that_tell_of_its_cells():
-    settings = GridSettings(resolution=0.5, clip=Clip(xmin=64), reach=8.0)
-    share, twin = (LiveMap(OccupancyGrid(settings, "first")) for _ in range(2))
-    far = Pose(40.25, 0.25, 0.0)
-    for live in (share, twin):
-        live.integrate(scan(), far)
-        live.snapshot()
-        live.integrate(scan(1.5), far)
-    for _ in range(RECENT_SCANS):
-        assert share.integrate(scan(), HERE) == 0
-    ahead = share.ahead_of_copy()
-    assert ahead.scans == RECENT_SCANS + 2
-    assert [placed.scan.ranges[0] for placed in ahead.newest] == [1.5]
-    assert share.quality()["consistency"] == twin.quality()["consistency"]
-    assert None not in twin.quality()["consistency"].values()
 
 
 def test_consistency_is_that_of_the_last_hundred_scans(live, clock):

@@ -37,10 +37,7 @@ class _State(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """A copy of the map, the newest scans in the map that the copy has not, and how many the map has.
-
-    Of the scans of a share those alone that have told of its cells.
-    """
+    """A copy of the map, the newest scans in the map that the copy has not, and how many the map has."""
 
     copy: MapSnapshot
     settings: GridSettings
@@ -96,8 +93,7 @@ class LiveMap(MapWithFigures):
             except NoRoom as refusal:
                 raise self._reason_of(refusal) from refusal
             grew, self._state = self._grid.nbytes > self._state.nbytes, self._told()
-            if updates or self._grid.settings.clip is None:  # else it tells of no cell that a share has
-                self._recent.append(PlacedScan(scan, pose, sweep), self._grid.revision - self._grid.erasures)
+            self._recent.append(PlacedScan(scan, pose, sweep))
             if grew and self._memory is not None:
                 self._memory.make_room()
             return updates
@@ -227,7 +223,8 @@ class LiveMap(MapWithFigures):
             if copy is None or copy.epoch != grid.epoch:
                 return None
             scans = grid.revision - grid.erasures
-            return Ahead(copy, grid.settings, self._recent.after(copy.scans), scans)
+            newest = list(self._recent)[max(0, len(self._recent) - (scans - copy.scans)) :]
+            return Ahead(copy, grid.settings, newest, scans)
 
     def info(self) -> MapInfo:
         """The status's `map_info`; known cells may be as old as `LiveFigures.known_cells` says."""

@@ -18,25 +18,20 @@ class RecentScans:
     def __init__(self, share: int) -> None:
         self.share = share
         self.nbytes = 0
-        self._scans: deque[tuple[int, PlacedScan]] = deque()
-        """With how many scans the map has had with each."""
+        self._scans: deque[PlacedScan] = deque()
 
     def __iter__(self) -> Iterator[PlacedScan]:
-        return (placed for _, placed in self._scans)
+        return iter(self._scans)
 
     def __len__(self) -> int:
         return len(self._scans)
 
-    def after(self, number: int) -> list[PlacedScan]:
-        """Those that came after so many scans were in the map."""
-        return [placed for at, placed in self._scans if at > number]
-
-    def append(self, placed: PlacedScan, number: int) -> None:
-        """Add the newest, with which the map has had so many; let go of the oldest, too many or too large."""
-        self._scans.append((number, placed))
+    def append(self, placed: PlacedScan) -> None:
+        """Add the newest, and let go of the oldest that are too many or too large."""
+        self._scans.append(placed)
         self.nbytes += _bytes_of(placed)
         while len(self._scans) > RECENT_SCANS or self.nbytes > self.share:
-            self.nbytes -= _bytes_of(self._scans.popleft()[1])
+            self.nbytes -= _bytes_of(self._scans.popleft())
 
     def clear(self) -> None:
         """Let go of all."""
