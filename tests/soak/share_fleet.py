@@ -65,6 +65,8 @@ class Fleet:
     over: list[dict[int, int]] = field(default_factory=list)
     """Scans of each robot in runs that are over."""
     found: Outcome = field(default_factory=Outcome)
+    paced: bool = False
+    """Whether a Pacer slows the robots down."""
 
     @property
     def sent(self) -> int:
@@ -78,7 +80,7 @@ class Fleet:
     def settled(self) -> Outcome:
         """Stop the robots, wait until every share has all, and compare."""
         runs = [*self.over, self.robots.stop()]
-        self.found.hz = self.robots.hz
+        self.found.hz = self.robots.hz if self.paced else None
         sent = {robot: [run[robot] for run in runs] for robot in runs[-1]}
         self.found.sent = sum(map(sum, sent.values()))
         within(SETTLED, lambda: all(has_all(share, self.found.sent) for share in self.shares))
@@ -148,6 +150,7 @@ class Pacer:
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
+        fleet.paced = True
         self._pace = 1.0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._watch)
