@@ -154,8 +154,9 @@ class LogOdds(CellModel):
 
     @cached_property
     def by_cell(self) -> tuple[str, tuple[Any, ...]]:
-        """Its plane and its constants: an update does nothing else."""
-        return PLANE, tuple(self.constants)
+        """Its plane and its constants: an update does nothing else. Of float64 cells no prior that is 0."""
+        constants = tuple(self.constants)
+        return PLANE, constants[:-1] if self.cells == "float64" and self.l0 == 0.0 else constants
 
     @cached_property
     def constants(self) -> CellConstants:

@@ -145,15 +145,17 @@ def update_blocks(
 ) -> tuple[int, int]:
     """`update_cells` for planes that cells.blocks knows: a row of a tile at once."""
     limits, masks = block_limits(constants), part_masks()  # first: for want of memory nothing has changed
-    fresh = touch_tiles(spans, window, touched, revision)
     window = CellRect(*window)
-    updates = 0
+    updates = fresh = 0
     for n in range(spans.shape[0]):
         j, first, end = _clipped(spans, n, window)
         updates += end - first
         while first < end:
             last = min(end - 1, first | (TILE - 1))
             begin, until = first & (TILE - 1), last & (TILE - 1)
+            tile = np.uint64(first >> TILE_BITS), np.uint64(j >> TILE_BITS)
+            fresh += int(touched[tile] == 0)
+            touched[tile] = revision
             block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - begin)
             if spans[n, 3] != SPAN_FREE:
                 ended_in_part(cells, block, begin, until, masks, limits)
