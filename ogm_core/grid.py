@@ -76,11 +76,16 @@ class OccupancyGrid(TiledMap):
         return in_bounds and not may_be_refused(placed.scan, settings)
 
     def _add_at_once(self, placed: PlacedScan) -> int | None:
-        """Add a scan that tells of known parts of the map alone; None if it does not, or not simply so."""
+        """Add a scan for whose cells there is room, if it is a simple one; else None."""
         one_call, threads, beams = self._one_call, self.threads, placed.scan.ranges.size
         if one_call is None:
             return None
-        team = None if threads is None else threads.team(self._store, beams, *one_call.into_plane)
+        team, lines = None, one_call.into_plane
+        if threads is not None:
+            if lines is not None:
+                team = threads.team(self._store, beams, *lines)
+            elif threads.wanted(beams):
+                return None
         place = self._extent, self._store, self.max_bytes, self.revision + 1
         try:
             updates = one_call.integrate(placed, *place, team)
@@ -90,7 +95,9 @@ class OccupancyGrid(TiledMap):
             raise
         if threads is not None and updates is not None:
             work = updates * one_call.cell_work
-            if team is not None or work >= threads.worth_a_team:
+            if lines is None:
+                threads.alone(beams, work)
+            elif team is not None or work >= threads.worth_a_team:
                 threads.finished(team, beams, work)
         return updates
 

@@ -47,6 +47,11 @@ class Fan(NamedTuple):
     beams: NDArray[np.int64]
 
 
+def heading_of(theta: float) -> float:
+    """The heading in [-pi, pi]: the sum of a large one and a bearing would lose digits."""
+    return math.atan2(math.sin(theta), math.cos(theta))
+
+
 @lru_cache(maxsize=16)
 def fan_of(angle_min: float, angle_increment: float, count: int) -> Fan:
     """The fan of `count` beams; its arrays are read-only."""

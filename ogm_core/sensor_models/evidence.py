@@ -18,7 +18,7 @@ from ogm_core.errors import BadParameter, LimitReached, OutsideBounds
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models import area_fill, beams, bresenham, counted_beams, dda, passing, spans
-from ogm_core.sensor_models.area_outline import Rays, fan_of, turned
+from ogm_core.sensor_models.area_outline import Rays, fan_of, heading_of, turned
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.projection import beam_model, project, read_only
 from ogm_core.sensor_models.scan_size import ScanSize
@@ -199,8 +199,7 @@ def _seen(placed: PlacedScan, settings: GridSettings) -> Evidence:
     except BadParameter as error:
         raise LimitReached(f"the sensor is out of reach: {error}: is its pose right?", "too_far") from error
     scan = placed.scan
-    # Whole turns do not count, and the sum of a large heading and a bearing would lose digits.
-    heading = math.atan2(math.sin(placed.pose.theta), math.cos(placed.pose.theta))
+    heading = heading_of(placed.pose.theta)
     fan = fan_of(float(scan.angle_min), float(scan.angle_increment), scan.ranges.size)
     window = CellRect(0, 0, 0, 0)
     if bounds is not None:

@@ -1,48 +1,52 @@
 """The common scan in one compiled call, from its ranges to cells: what `evidence` does in several.
 
-Most scans change cells within the rectangle that is known already, in tiles for which there is room, beam by
-beam, by constants. Then there is no limit to meet and nothing to grow, and what is left are the kernels that
-`evidence` calls. A small scan takes as long for each call from Python, and for what surrounds it, as for its
-beams. With all other scans nothing is done here: `evidence` takes them.
+Most scans change cells that the store holds, in tiles for which there is room. Then nothing is to be moved,
+no limit is met, and what is left are the kernels that `evidence` calls. A small scan takes as long for each
+call from Python, and for what surrounds it, as for its beams. With all other scans nothing is done here:
+`evidence` takes them.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ogm_core.cells.blocks import BLOCK_TYPES
 from ogm_core.cells.model import CellModel
+from ogm_core.errors import BadParameter
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import CellRect
-from ogm_core.sensor_models import beams, bresenham, dda, shared_lines
+from ogm_core.sensor_models import bresenham, dda, passing, spans
+from ogm_core.sensor_models.area_outline import fan_of, heading_of
 from ogm_core.sensor_models.beams import Plain
-from ogm_core.sensor_models.evidence import may_be_too_large
+from ogm_core.sensor_models.evidence import may_be_refused
+from ogm_core.sensor_models.one_call_kernels import NO_BOUNDS, add_lines, count_beams, fill_area
 from ogm_core.sensor_models.projection import beam_model, directions, read_only
 from ogm_core.sensor_models.team import Team
+from ogm_core.sensor_models.true_line import SUBCELLS
 from ogm_core.tiles.extent import NO_CELLS, Extent
-from ogm_core.tiles.store import TILE_BITS, TileStore
-from ogm_core.types import PlacedScan, Scan
+from ogm_core.tiles.store import TileStore
+from ogm_core.types import PlacedScan, Pose, Scan, Sweep
 
 _SENSORS = 64
 """So many kinds of scan are remembered."""
-_ANYWHERE = CellRect(-(2**60), -(2**60), 2**61, 2**61)
+_ANYWHERE = CellRect(-(2**60), -(2**60), NO_BOUNDS, NO_BOUNDS)
 _Kind = tuple[float | None, ...]
-_Rect = tuple[int, int, int, int]
 
 
 class _Sensor(NamedTuple):
-    """What all scans of a kind have in common, and the lattice: see `_integrate`."""
+    """What all scans of a kind have in common, and the lattice: see one_call_kernels."""
 
     beam: NDArray[np.float64]
-    directions: NDArray[np.float64]
+    directions: NDArray[np.float64] | Plain
 
 
 class _Place(NamedTuple):
     """Rectangles of a map, each (ix, iy, width, height) in `rects`, and those that change, to compare.
 
-    Its bounds; what limits count as known; its clip; what is known in that; the window of the store. What
-    does not exist is everywhere.
+    Its bounds; what limits count as known; its clip; what is known in that; the cells that its store keeps.
+    What does not exist is everywhere. The kernel lets grow what is known.
     """
 
     stretched: CellRect
@@ -54,14 +58,20 @@ class _Place(NamedTuple):
 class OneCall:
     """The way of common scans into one map; its writer's."""
 
-    def __init__(self, settings: GridSettings, plane: str, constants: Plain) -> None:
+    def __init__(self, settings: GridSettings, by_cell: tuple[str, Plain] | None) -> None:
         self._settings = settings
-        self._plane, self._constants = plane, constants
-        self._exact = settings.traversal == "dda"
-        self.cell_work = (dda if self._exact else bresenham).CELL_WORK
+        self._by_cell = by_cell
+        """The plane whose cells change, and by which constants; None: beams are counted, in all planes."""
+        self._areas = settings.sensor_model == "sector"
+        self._exact = by_cell is not None and settings.traversal == "dda" and not self._areas
+        self._kernel: Callable[..., tuple[int, int, bool]] = (
+            count_beams if by_cell is None else fill_area if self._areas else add_lines
+        )
+        lines = passing if by_cell is None else dda if self._exact else bresenham
+        self.cell_work: float = (spans if self._areas else lines).CELL_WORK
         """How much work a cell is."""
-        self.into_plane = plane, constants, self._exact
-        """What a team has to know."""
+        self.into_plane = None if by_cell is None or self._areas else (*by_cell, self._exact)
+        """What a team has to know; None: no team can help."""
         self._drops = settings.outside == "drop" and settings.bounds is not None
         self._sensors: dict[_Kind, _Sensor | None] = {}
         self._place: _Place | None = None
@@ -69,9 +79,13 @@ class OneCall:
     @classmethod
     def into(cls, settings: GridSettings, model: CellModel) -> "OneCall | None":
         """None if no scan is that simple for such a map: its model does more, or its cells age first."""
-        if settings.sensor_model != "beam" or model.by_cell is None or settings.half_life is not None:
+        if settings.half_life is not None or settings.separate_robots:
             return None
-        return cls(settings, *model.by_cell)
+        if settings.sensor_model == "sector" and (
+            model.planes[0].dtype not in BLOCK_TYPES or (settings.bounds and settings.outside == "drop")
+        ):
+            return None
+        return cls(settings, model.by_cell) if model.by_cell or model.lengths else None
 
     def integrate(
         self,
@@ -92,138 +106,71 @@ class OneCall:
         kind = scan.angle_min, scan.angle_increment, *limits, scan.ranges.size
         if kind not in self._sensors:
             self._see(kind, scan)
-        sensor, place = self._sensors[kind], self._place
-        if sensor is None:
+        sensor, place = self._sensors[kind], self._placed(extent, store.rect)
+        if sensor is None or place is None:
             return None
-        if place is None or not (
-            place.known is extent.known and place.stretched is extent.stretched and place.stored is store.rect
-        ):
-            place = self._place = self._placed(extent, store.rect)
-        if place is None:
+        at = self._seen_from(pose, sweep)
+        if at is None:
             return None
-        plane, (x, y, theta) = store.planes[self._plane], pose
-        updates, fresh = _integrate(
+        updates, fresh, grown = self._kernel(
             read_only(scan.ranges),
             *sensor,
-            float(x),
-            float(y),
-            float(theta),
-            None if sweep is None else sweep.beams,
-            np.empty((4, scan.ranges.size)) if self._exact else None,
+            *at,
             self._drops,
             place.rects,
+            self._settings.max_cells,
             (max_bytes - store.nbytes) // store.tile_bytes,
             store.touched,
             revision,
-            plane.cells,
-            plane.column,
-            self._constants,
-            None if team is None else team.arrays,
+            *self._cells_of(store, scan.ranges.size, team),
         )
         store.tiles_used += fresh
+        if grown:
+            stretched, known = CellRect(*place.rects[1].tolist()), CellRect(*place.rects[3].tolist())
+            extent.widen(stretched, known if known.cells else None)
+            self._place = _Place(stretched, extent.known, store.rect, place.rects)
         return None if updates < 0 else updates
 
+    def _seen_from(self, pose: Pose, sweep: Sweep | None) -> Plain | None:
+        """What the kernel is told of the sensor's pose; None where no cell can be addressed."""
+        if not self._areas:
+            x, y, theta = pose
+            return float(x), float(y), float(theta), None if sweep is None else sweep.beams
+        x, y, theta = pose if sweep is None else sweep.middle
+        try:
+            cell, place = self._settings.lattice.place_of(x, y)
+        except BadParameter:
+            return None
+        return *place, heading_of(theta), cell
+
+    def _cells_of(self, store: TileStore, beams: int, team: Team | None) -> Plain:
+        """What the kernel is told of cells: the last of its arguments."""
+        if self._by_cell is None:
+            return store.columns, store.cells
+        plane = store.planes[self._by_cell[0]]
+        lines = np.empty((4, beams)) if self._exact else None
+        return lines, plane.cells, plane.column, self._by_cell[1], None if team is None else team.arrays
+
     def _see(self, kind: _Kind, scan: Scan) -> None:
-        """Remember a kind of scan; None where such a scan may speak of more cells than one may."""
+        """Remember a kind of scan; None where it could be refused for its many or long beams."""
         if len(self._sensors) >= _SENSORS:
             self._sensors.clear()
         self._sensors[kind] = None
-        if not may_be_too_large(scan, self._settings):
+        if not may_be_refused(scan, self._settings):
             lattice, model = self._settings.lattice, beam_model(scan, self._settings)
-            beam = np.array([*model, *lattice.anchor, lattice.resolution], np.float64)
-            self._sensors[kind] = _Sensor(beam, directions(*model[:2], scan.ranges.size))
+            parts = SUBCELLS if self._by_cell is None else 1
+            beam = np.array([*model, *lattice.anchor, lattice.resolution / parts], np.float64)
+            shape = *model[:2], scan.ranges.size
+            self._sensors[kind] = _Sensor(beam, tuple(fan_of(*shape)) if self._areas else directions(*shape))
 
     def _placed(self, extent: Extent, stored: CellRect) -> _Place | None:
         """None before the first scan."""
-        stretched, known, clip = extent.stretched, extent.known, extent.clip or _ANYWHERE
+        stretched, known, place = extent.stretched, extent.known, self._place
         if stretched is None:
             return None
-        inside = extent.bounds or stored
-        window = CellRect(stored.ix, stored.iy, inside.width, inside.height)
-        rects = extent.whole_bounds or _ANYWHERE, stretched, clip, known or NO_CELLS, window
-        return _Place(stretched, known, stored, np.array(rects, np.int64))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _integrate(
-    ranges: NDArray[np.float32],
-    beam: NDArray[np.float64],
-    turned: NDArray[np.float64],
-    x: float,
-    y: float,
-    theta: float,
-    poses: NDArray[np.float64] | None,
-    lines: NDArray[np.float64] | None,
-    drops: bool,
-    rects: NDArray[np.int64],
-    room: int,
-    touched: NDArray[np.int64],
-    revision: int,
-    cells: NDArray[np.int16],
-    column: NDArray[np.int64],
-    constants: Plain,
-    team: Plain | None,
-) -> tuple[int, int]:
-    """Add a common scan to the cells; returns the number of updates, and of tiles that held 0 before.
-
-    -1 and 0 if it is none: nothing is written then. `beam` are the numbers of a BeamModel and of
-    LatticeParams, `turned` the `directions` of `beams.project_turned`; x, y and theta the sensor's, or
-    `poses` at every beam, None if it stood still; `lines` room for those of projection.Beams, None along
-    Bresenham's; `rects` those of `_Place`. Beams that leave the bounds count for nothing if it `drops` them.
-    There is `room` for so many more tiles. `team` is that of `shared_lines.update_cells`, or None. The rest
-    is that of `bresenham.update_cells`.
-    """
-    ends = np.empty((5, ranges.size), np.int64)
-    drawn = np.empty((4, 0)) if lines is None else lines
-    model = beam[0], beam[1], beam[2], beam[3], beam[4], beam[5], beam[6]
-    lattice = beam[7], beam[8], beam[9]
-    if poses is None:
-        projected = beams.project_turned(ranges, model, (x, y, theta), lattice, ends, drawn, turned)
-    else:
-        projected = beams.project(ranges, model, poses, lattice, ends, drawn)
-    if not projected:
-        return -1, 0
-    bounds, stretched, clip, known, window = rects[0], rects[1], rects[2], rects[3], rects[4]
-    if drops:
-        counted, dropped = beams.drop_outside(ends, bounds[0], bounds[1], bounds[2], bounds[3])
-        if counted and dropped == counted:
-            return -1, 0
-    updated = _shared(bresenham.extent(ends) if lines is None else dda.extent(ends, drawn), bounds)
-    kept = _shared(updated, clip)
-    if not (_within(updated, stretched) and _within(kept, known) and _tiles(kept) <= room):
-        return -1, 0
-    if kept[2] < 1 or kept[3] < 1:
-        return 0, 0
-    inside = window[0], window[1], window[2], window[3]
-    if team is not None:
-        return shared_lines.update_cells(
-            ends, lines, inside, touched, revision, cells, column, constants, team
-        )
-    if lines is None:
-        return bresenham.update_cells(ends, inside, touched, revision, cells, column, constants)
-    return dda.update_cells(ends, drawn, inside, touched, revision, cells, column, constants)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _shared(rect: _Rect, other: NDArray[np.int64]) -> _Rect:
-    """The cells that two rectangles (ix, iy, width, height) share; none if width or height is below 1."""
-    ix, iy = max(rect[0], other[0]), max(rect[1], other[1])
-    right, top = min(rect[0] + rect[2], other[0] + other[2]), min(rect[1] + rect[3], other[1] + other[3])
-    return ix, iy, right - ix, top - iy
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _within(rect: _Rect, other: NDArray[np.int64]) -> bool:
-    """Whether all cells of a rectangle, if there are any, lie in another."""
-    shared = _shared(rect, other)
-    return rect[2] < 1 or rect[3] < 1 or shared == rect
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _tiles(rect: _Rect) -> int:
-    """How many tiles a rectangle meets."""
-    if rect[2] < 1 or rect[3] < 1:
-        return 0
-    wide = ((rect[0] + rect[2] - 1) >> TILE_BITS) - (rect[0] >> TILE_BITS) + 1
-    high = ((rect[1] + rect[3] - 1) >> TILE_BITS) - (rect[1] >> TILE_BITS) + 1
-    return wide * high
+        if place is None or place[:3] != (stretched, known, stored):
+            bounds, clip, inside = extent.whole_bounds, extent.clip, extent.bounds or stored
+            window = CellRect(stored.ix, stored.iy, inside.width, inside.height)
+            rects = bounds or _ANYWHERE, stretched, clip or _ANYWHERE, known or NO_CELLS, window
+            place = self._place = _Place(stretched, known, stored, np.array(rects, np.int64))
+        return place

@@ -44,6 +44,10 @@ class Extent:
         """These cells, which lie in the clip, are written."""
         self.know(kept if self.known is None else self.known.union(kept))
 
+    def widen(self, stretched: CellRect, known: CellRect | None) -> None:
+        """Cells are written: these are what limits count, and what is known, from now on."""
+        self.stretched, self.known = stretched, known
+
     def begin(self, written: CellRect) -> None:
         """A map begins with these cells, wherever they lie."""
         self.stretched = written

@@ -26,6 +26,14 @@ MAPS = {
     "within a clip": {"clip": Clip(xmin=-64, ymin=-64, xmax=64, ymax=None)},
     "bounds and a clip": {"bounds": SOME, "clip": Clip(xmin=64, ymin=None, xmax=128, ymax=None)},
     "short reach": {"reach": 2.0, "clear_range": 1.0},
+    "areas": {"sensor_model": "sector"},
+    "areas, bounds that clip": {"sensor_model": "sector", "bounds": SOME},
+    "areas, bounds and a clip": {"sensor_model": "sector", "bounds": SOME, "clip": Clip(xmin=64, xmax=128)},
+    "areas, short reach": {"sensor_model": "sector", "reach": 2.0, "clear_range": 1.0},
+    "counts": {"cell_model": Rate()},
+    "counts, short reach": {"cell_model": Rate(), "reach": 2.0, "clear_range": 1.0},
+    "counts, bounds that drop": {"cell_model": Rate(), "bounds": SOME, "outside": "drop"},
+    "counts, bounds and a clip": {"cell_model": Rate(), "bounds": SOME, "clip": Clip(xmin=64, xmax=128)},
 }
 
 
@@ -98,12 +106,47 @@ def test_scans_that_tell_of_no_cell_within_a_clip_stretch_what_limits_count(take
     assert taken[::2].count(0) > 40
 
 
-def test_a_scan_that_tells_of_new_cells_goes_the_long_way(taken):
-    grid, _ = grids()
+def test_what_is_known_grows_in_one_call(taken):
+    """From the second scan on: the first one finds no store."""
+    grid, twin = grids()
     scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([3.0, 3.0], np.float32))
-    for x in (0.0, 0.0, 0.2, 0.2):
-        grid.integrate(scan, Pose(x, 0.0, 0.0))
-    assert [updates is not None for updates in taken] == [False, True, False, True]
+    for x in (0.0, 0.0, 0.2, -7.5, -7.5):
+        for one in (grid, twin):
+            one.integrate(scan, Pose(x, 0.0, 0.0))
+        assert grid.rect == twin.rect
+    assert [updates is not None for updates in taken[::2]] == [False, True, True, True, True]
+    assert grid.rect.width == round((7.7 + 3.0) / 0.05)
+    assert state(grid) == state(twin)
+
+
+def test_a_store_that_is_too_small_grows_the_long_way(taken):
+    grid, twin = grids()
+    scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([3.0, 3.0], np.float32))
+    for x in (0.0, 1000.0, 1000.0):
+        for one in (grid, twin):
+            one.integrate(scan, Pose(x, 0.0, 0.0))
+    assert [updates is not None for updates in taken[::2]] == [False, False, True]
+    assert state(grid) == state(twin)
+
+
+def test_what_limits_count_grows_by_scans_of_which_a_clip_keeps_nothing():
+    grid, twin = grids(clip=Clip(xmin=-64, ymin=-64, xmax=64, ymax=64))
+    scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([3.0, 3.0], np.float32))
+    for x in (0.0, 3.5, -3.5, -9.0):
+        for one in (grid, twin):
+            one.integrate(scan, Pose(x, 0.0, 0.0))
+        assert (grid._extent.stretched, grid._extent.known) == (twin._extent.stretched, twin._extent.known)
+    assert state(grid) == state(twin)
+
+
+def test_a_scan_that_would_make_the_map_too_large_is_refused_as_ever():
+    grid, twin = grids(max_cells=100_000)
+    scan = Scan(0, 0.0, 0.05, 0.0, 8.0, np.full(120, 4.0, np.float32))
+    for one in (grid, twin):
+        one.integrate(scan, Pose(0.0, 0.0, 0.0))
+        with pytest.raises(LimitReached, match=r"more than mapper\.max_cells = 100000"):
+            one.integrate(scan, Pose(25.0, 0.0, 0.0))
+    assert state(grid) == state(twin)
 
 
 def test_beams_that_all_leave_bounds_are_refused_as_ever():
@@ -158,7 +201,14 @@ def test_what_was_erased_stretches_the_map_again(taken):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"sensor_model": "sector"}, {"half_life": 60.0}, {"cell_model": Rate()}], ids=",".join
+    "changes",
+    [
+        {"sensor_model": "sector", "cell_model": LogOdds("float64")},
+        {"sensor_model": "sector", "bounds": SOME, "outside": "drop"},
+        {"half_life": 60.0},
+        {"cell_model": Rate(), "separate_robots": True},
+    ],
+    ids=",".join,
 )
 def test_other_maps_have_no_such_way(changes):
     grid, _ = grids(**changes)
