@@ -5,6 +5,7 @@ import math
 import threading
 import weakref
 
+import numba
 import numpy as np
 import pytest
 
@@ -20,6 +21,9 @@ from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.types import Pose, Scan, Sweep
 
 DEADLINE = 60.0
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="threads hand each other work in compiled code alone"
+)
 KINDS = {
     "bresenham": {},
     "bresenham float64": {"cell_model": LogOdds("float64")},
