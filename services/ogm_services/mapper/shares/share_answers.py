@@ -47,7 +47,7 @@ def ask_shares(
     """
     heard: _Heard = queue.SimpleQueue()
     begun, until = time.monotonic(), {}
-    answers: dict[int, list[ShareAnswer]] = {share: [] for share in asked}
+    replies: dict[int, list[zenoh.Reply]] = {share: [] for share in asked}
     for share, (parameters, timeout) in asked.items():
         until[share] = begun + max(timeout, _AT_ONCE)
         session.get(
@@ -65,13 +65,22 @@ def ask_shares(
             break
         if reply is None:
             del until[share]
-            yield share, answers[share]
-        elif reply.ok is not None:
+            yield share, _read(share, replies[share])
+        else:
+            replies[share].append(reply)
+    yield from ((share, _read(share, replies[share])) for share in until)
+
+
+def _read(share: int, replies: list[zenoh.Reply]) -> list[ShareAnswer]:
+    """The answers in some replies; copied only now, so that they are not far from who decodes them."""
+    read = []
+    for reply in replies:
+        if reply.ok is not None:
             body, told = reply.ok.payload.to_bytes(), _told(reply.ok.attachment)
-            answers[share].append(ShareAnswer(share, body, told, refused=False))
+            read.append(ShareAnswer(share, body, told, refused=False))
         elif reply.err is not None and reply.err.payload.to_bytes() != _TIMED_OUT:
-            answers[share].append(ShareAnswer(share, reply.err.payload.to_bytes(), {}, refused=True))
-    yield from ((share, answers[share]) for share in until)
+            read.append(ShareAnswer(share, reply.err.payload.to_bytes(), {}, refused=True))
+    return read
 
 
 def _handler(heard: _Heard, share: int) -> "zenoh.handlers.Callback[zenoh.Reply]":
