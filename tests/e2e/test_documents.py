@@ -130,7 +130,8 @@ def test_flags_exist(page):
     options = [option for command in (program, *commands) for option in command.params]
     flags = {flag for option in options for flag in option.opts} | {"--help"}
     flags |= {"--meta", "--output-path"} if page == "docs/http.md" else set()  # openapi-python-client's
-    flags |= {"--nworkers", "--nthreads", "--scheduler-file"} if page == "docs/batch.md" else set()  # Dask's
+    dask = {"--nworkers", "--nthreads", "--scheduler-file", "--memory-limit"}
+    flags |= dask if page == "docs/batch.md" else set()
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXTS[page].replace("<!--", ""))) - flags == set()
 
 
