@@ -15,7 +15,7 @@ from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Clip, Region
 from ogm_core.sensor_models import mailbox as mailbox_module
-from ogm_core.sensor_models import one_call, shared_lines, team, update_threads
+from ogm_core.sensor_models import shared_lines, team, update_threads
 from ogm_core.sensor_models.mailbox import ASLEEP, DONE, EMPTY, FAILED, POSTED, STATE, TAKEN, WORDS
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.types import Pose, Scan, Sweep
@@ -174,7 +174,7 @@ def test_a_call_that_fails_is_refused_unless_others_may_have_written(state, erro
             mailboxes[0, STATE] = state
             raise MemoryError
 
-        monkeypatch.setattr(one_call, "_integrate", fail)
+        monkeypatch.setattr(grid._one_call, "_kernel", fail)
         monkeypatch.setattr(threads._team, "_mailboxes", mailboxes)
         with pytest.raises(
             error, match="no memory left" if error is LimitReached else "in a part of the map only"
