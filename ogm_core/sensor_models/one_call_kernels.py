@@ -211,7 +211,9 @@ def _fitted(
     updated = _shared(box, bounds)
     kept = _shared(updated, clip)
     wider, grown = _union(stretched, updated), _union(known, kept)
-    fits = wider[2] * wider[3] <= max_cells and _within(kept, window) and _tiles(kept) <= room
+    # In float64: of a pose far away, which a clip leaves alone, the product of integers would overflow.
+    allowed = float(wider[2]) * float(wider[3]) <= max_cells
+    fits = allowed and _within(kept, window) and _tiles(kept) <= room
     return fits, kept[2] > 0 and kept[3] > 0, wider, grown
 
 

@@ -149,6 +149,18 @@ def test_a_scan_that_would_make_the_map_too_large_is_refused_as_ever():
     assert state(grid) == state(twin)
 
 
+@pytest.mark.parametrize("changes", [{}, {"sensor_model": "sector"}, {"cell_model": Rate()}])
+def test_a_pose_so_far_away_that_cells_cannot_be_counted_in_64_bits_is_refused_beside_a_clip(changes):
+    grid, twin = grids(clip=Clip(xmin=-64, ymin=-64, xmax=64, ymax=64), **changes)
+    scan = Scan(0, 0.0, 0.1, 0.0, 8.0, np.array([3.0, 3.0], np.float32))
+    for one in (grid, twin):
+        one.integrate(scan, Pose(0.0, 0.0, 0.0))
+        with pytest.raises(LimitReached, match=r"more than mapper\.max_cells"):
+            one.integrate(scan, Pose(2e8, 2e8, 0.0))
+    assert grid._extent.stretched == twin._extent.stretched
+    assert state(grid) == state(twin)
+
+
 def test_beams_that_all_leave_bounds_are_refused_as_ever():
     grid, twin = grids(bounds=SOME, outside="drop")
     inside = Scan(0, -3.0, 0.1, 0.0, 20.0, np.full(60, 4.0, np.float32))
