@@ -230,8 +230,8 @@ class ShareState:
 
     `bounds` are xmin, ymin, xmax and ymax, m, None where it is open; `since` when it was noticed that it is
     missing, ns since the Unix epoch. Epoch, run and revision are those that are held of it, None before it
-    has told anything; `overload` counts the scans that it has dropped for want of time. `detail`
-    says why it is not taken, or does not store.
+    has told anything; `overload` counts the scans that it has dropped for want of time, and `restored` is
+    that of its status. `detail` says why it is not taken, or does not store.
     """
 
     share: int
@@ -242,6 +242,7 @@ class ShareState:
     run: str | None = None
     revision: int | None = None
     overload: int | None = None
+    restored: bool | None = None
     detail: str | None = None
 
 
@@ -260,9 +261,10 @@ class Status:
     """A mapper's status; `stamp` is the largest one integrated, ns, None if there is none.
 
     `run` is the id of the mapper's process, "" of an older one that has none. `threads` update the cells of a
-    large scan. `store` is that of a mapper which stores its map, `share` that of one which has a share of a
-    map; the JSON of others has none. Of a gateway alone there are `shares`, and `complete`: whether all of
-    them have told how they are, and none has dropped scans that others have.
+    large scan. `restored`: whether the map was in the mapper's store when it started, or was begun then; None
+    of a gateway, and of an older mapper. `store` is that of a mapper which stores its map, `share` that of
+    one which has a share of a map; the JSON of others has none. Of a gateway alone there are `shares`, and
+    `complete`: whether all of them have told how they are, and none has dropped scans that others have.
     """
 
     map: str
@@ -277,6 +279,7 @@ class Status:
     uptime_s: float
     run: str = ""
     threads: int = 1
+    restored: bool | None = None
     store: StoreInfo | None = None
     share: ShareInfo | None = None
     shares: list[ShareState] | None = None

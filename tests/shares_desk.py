@@ -94,7 +94,7 @@ class ServedShare:
         self.asked = []
         """What it was asked for by those who gather: since when, or of which region."""
         self.scans = {"received": 0, "integrated": 0, "pending": 0, "dropped": {}}
-        self.store = None
+        self.store = self.restored = None
         self._held = []
         self._keys = MapKeys(map_name)
         self._declared = [
@@ -144,6 +144,7 @@ class ServedShare:
             robots={},
             uptime_s=1.0,
             run=state.run,
+            restored=self.restored,
             store=self.store,
         )
         return encode_status(status), None

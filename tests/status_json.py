@@ -75,6 +75,7 @@ STATUS = Status(
         "r1": RobotStatus(None, None),
     },
     uptime_s=12.25,
+    restored=False,
 )
 
 

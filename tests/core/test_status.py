@@ -43,7 +43,7 @@ def test_its_json_is_word_for_word_this():
         b'{"front": {"run": "a", "last_seq": null, "received": 40, "pending": 2, "integrated": 33, '
         b'"dropped": {"no_pose": 5}, "hints": ["range_max"], "lost": 8, "beams_on_robots": 13}}}, '
         b'"r1": {"pose": null, "stamp": null, "alive": false, "age_s": null, "sources": {}}}, '
-        b'"uptime_s": 12.25, "run": "r1", "threads": 1}'
+        b'"uptime_s": 12.25, "run": "r1", "threads": 1, "restored": false}'
     )
 
 

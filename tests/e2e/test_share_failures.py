@@ -155,6 +155,7 @@ def test_a_share_whose_store_is_lost_begins_empty_and_the_map_has_another_epoch(
     after = http.get("/map.json").json()
     assert after["epoch"] != before["epoch"]
     assert fleet.status(1)["revision"] == 0
+    assert http.get("/status").json()["shares"][1]["restored"] is fleet.status(1)["restored"] is False
     assert knows_east(encode_npz(fleet.one.snapshot()))
     assert not knows_east(http.get("/map.npz").content)
     assert 0 < http.get("/status").json()["map_info"]["known_cells"] < fleet.one.snapshot().known_cells
@@ -173,6 +174,7 @@ def test_what_was_reset_does_not_come_back_with_a_share_that_is_killed_right_the
     share.wait_until_ready()
     eventually(lambda: not http.get("/status").json()["missing"], SETTLED)
     assert (fleet.status(1)["epoch"], fleet.status(1)["revision"]) == (epoch, 0)
+    assert http.get("/status").json()["shares"][1]["restored"] is fleet.status(1)["restored"] is True
     assert http.get("/status").json()["map_info"]["known_cells"] == 0
 
 

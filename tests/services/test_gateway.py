@@ -106,10 +106,13 @@ def test_the_status_adds_up_what_the_shares_have_counted(fleet):
     assert http.get("/status").json()["complete"] is False
     fleet.shares[3].scans |= {"integrated": 11, "dropped": {"overload": 1}}
     fleet.shares[2].store = StoreInfo(3, "disk full", 10)
+    fleet.shares[1].restored, fleet.shares[2].restored = False, True
     status = http.get("/status").json()
     assert status["complete"] is False
     assert status["shares"][3]["overload"] == 1
     assert (status["shares"][2]["state"], status["shares"][2]["detail"]) == ("not storing", "disk full")
+    assert [share["restored"] for share in status["shares"]] == [None, False, True, None]
+    assert status["restored"] is None, "a gateway has no store"
     fleet.shares[0].close()
     status = http.get("/status").json()
     assert (status["shares"][0]["state"], status["complete"]) == ("missing", False)

@@ -104,9 +104,9 @@ def test_status(cross):
     status = cross.status()
     assert list(status) == [
         *("map", "epoch", "revision", "stamp", "scans", "poses", "other", "map_info", "robots", "uptime_s"),
-        *("run", "threads"),
+        *("run", "threads", "restored"),
     ]
-    assert status["threads"] == 1
+    assert (status["threads"], status["restored"]) == (1, False)
     assert (status["map"], status["revision"], status["stamp"]) == ("hall", 3, 1_700_000_000_000_000_003)
     dropped, beside = dict.fromkeys(DROP_REASONS, 0), {"lost": 0, "replayed": 0, "beams_on_robots": 0}
     assert status["scans"] == {"received": 3, "integrated": 3, "pending": 0, "dropped": dropped} | beside

@@ -23,6 +23,7 @@ def test_connections_are_refused_until_the_map_is_restored(
     with start_mapper(mapper={"data": str(tmp_path)}) as mapper:
         mapper.draw_cross()
         cells = mapper.http.get("/map.npz").content
+        assert mapper.status()["restored"] is False
     begun, go_on, restore = threading.Event(), threading.Event(), MapStore.restore
 
     def slowly(*args):
@@ -46,3 +47,4 @@ def test_connections_are_refused_until_the_map_is_restored(
         url = f"http://127.0.0.1:{http}"
         eventually(lambda: httpx.get(f"{url}/readyz").status_code == 200)
         assert httpx.get(f"{url}/map.npz").content == cells
+        assert httpx.get(f"{url}/status").json()["restored"] is True

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from ogm_core.errors import BadSetting
 from ogm_core.shares import Cuts, Share
-from ogm_core.status import ScanCounts, ScansOfOthers, ShareState
+from ogm_core.status import ScanCounts, ScansOfOthers, ShareState, StoreInfo
 from ogm_services.commands.demo import run_demo
 from ogm_services.commands.status import status_tables
 from ogm_services.settings.settings import Settings
@@ -32,15 +32,27 @@ def test_the_table_says_which_share_it_is_and_what_others_count():
 
 def test_the_table_of_a_gateway_has_a_row_for_every_share():
     shares = [
-        ShareState(0, [None, None, 0.0, None], "up", epoch="e", run="r", revision=12, overload=3),
+        ShareState(
+            0, [None, None, 0.0, None], "up", epoch="e", run="r", revision=12, overload=3, restored=False
+        ),
         ShareState(
             1, [0.0, None, None, None], "missing", since=1_700_000_000_000_000_000, detail="other cuts"
         ),
     ]
     rows = [line.split() for line in shown(replace(STATUS, shares=shares)).splitlines()]
-    assert ["0", "up", "12", "3"] in rows
+    assert ["0", "up", "no", "12", "3"] in rows
     (missing,) = [row for row in rows if row[:2] == ["1", "missing"]]
     assert missing[-2:] == ["other", "cuts"]
+
+
+@pytest.mark.parametrize(
+    ("restored", "said"),
+    [(True, "; restored at the start"), (False, "; none there at the start"), (None, "")],
+)
+def test_the_table_says_how_far_the_map_is_stored_and_whether_it_was_at_the_start(restored, said):
+    stored = replace(STATUS, store=StoreInfo(40, None, 2_500_000), restored=restored)
+    (row,) = [line.split(maxsplit=1) for line in shown(stored).splitlines() if line.split()[:1] == ["stored"]]
+    assert row[1].rstrip() == f"revision 40, 2.5 MB{said}"
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
         "robots in it": "" if info.robots is None else ", ".join(info.robots) or "none",
         "threads": status.threads if status.threads > 1 else "",
         "memory": f"{info.bytes / 1e6:.1f} MB",
-        "stored": "" if status.store is None else _stored(status.store),
+        "stored": "" if status.store is None else _stored(status.store, status.restored),
         "up": f"{status.uptime_s:.0f} s",
     }
     for label, value in rows.items():
@@ -97,11 +97,14 @@ def _complete(status: Status) -> str:
 
 def _shares(status: Status) -> Table:
     """A row for every share of a gateway's map: whether it answers, how far it is, and what is wrong."""
-    table = plain_table("share", "state", "since", "what is wrong", right=("revision", "overload"))
+    table = plain_table(
+        "share", "state", "since", "restored", "what is wrong", right=("revision", "overload")
+    )
     for share in status.shares or ():
         numbers = ("" if number is None else str(number) for number in (share.revision, share.overload))
         since = "" if share.since is None else local_time(share.since)
-        table.add_row(str(share.share), share.state, since, share.detail or "", *numbers)
+        restored = "" if share.restored is None else "yes" if share.restored else "no"
+        table.add_row(str(share.share), share.state, since, restored, share.detail or "", *numbers)
     return table
 
 
@@ -165,10 +168,11 @@ def _poses(poses: PoseCounts) -> str:
     return ", ".join([f"{poses.received} received", *(f"{n} {what}" for what, n in poses.odd.items())])
 
 
-def _stored(store: StoreInfo) -> str:
-    """How far the map is on disk, or why not."""
+def _stored(store: StoreInfo, restored: bool | None) -> str:
+    """How far the map is on disk, or why not, and what was there at the start."""
     stored = "nothing yet" if store.revision is None else f"revision {store.revision}"
-    return f"{stored}, {store.bytes / 1e6:.1f} MB" if store.failing is None else f"{stored}; {store.failing}"
+    told = f"{stored}, {store.bytes / 1e6:.1f} MB" if store.failing is None else f"{stored}; {store.failing}"
+    return told if restored is None else f"{told}; {'restored' if restored else 'none there'} at the start"
 
 
 def _scans_and_poses(scans: int, poses: int) -> str:

@@ -115,6 +115,8 @@ class Parts:
         if self.kept_map is not None:
             made_of = settings.mapper_grid_settings()
             grid = self.kept_map.restored(made_of, self.run, settings.mapper.start_map)
+        self.restored = grid is not None
+        """Whether the map was in the store."""
         if grid is None:
             grid = started_grid(settings, uuid.uuid4().hex, self.run)
         self.grid_settings: GridSettings = grid.settings
@@ -224,6 +226,7 @@ class Parts:
             saved=saved,
             share=None if self.share is None else self.share.info(),
             threads=settings.mapper.thread_count,
+            restored=self.restored,
         )
         """The answering threads ask."""
         self.live_updates = LiveUpdates(

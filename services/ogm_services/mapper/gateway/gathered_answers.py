@@ -262,7 +262,8 @@ class GatheredAnswers(Answers):
         if part is not None:
             found = replace(found, epoch=part.epoch, run=part.run, revision=part.revision)
         if status is not None:
-            found = replace(found, overload=status.scans.dropped.get(OVERLOAD, 0))
+            overload = status.scans.dropped.get(OVERLOAD, 0)
+            found = replace(found, overload=overload, restored=status.restored)
             failing = None if status.store is None else status.store.failing
             if failing is not None and since is None:
                 found = replace(found, state="not storing", detail=failing)

@@ -47,11 +47,13 @@ class Answers:
         share: ShareInfo | None = None,
         followed: ServedMap | None = None,
         threads: int = 1,
+        restored: bool | None = None,
     ) -> None:
         """`store` tells of the map on disk, and `saved` of those that are saved; None: nothing is stored.
 
         `share` is the one that this is the map of. `followed` is the map under the name that it has for who
-        follows it, where that is another one. So many `threads` update cells.
+        follows it, where that is another one. So many `threads` update cells. `restored` is as in
+        `Status`.
         """
         self._map_name = map_name
         self._map = live_map
@@ -61,7 +63,7 @@ class Answers:
         self.memory = memory = memory or AnswerMemory()
         """What they take; who keeps answers elsewhere counts them there."""
         self._store, self._saved = store, saved
-        self._share, self._threads = share, threads
+        self._share, self._threads, self._restored = share, threads, restored
         self._ready = ready
         self._status = KeptStatus(self._new_status, lambda: self._map.now.epoch)
         memory.in_all.add("status", lambda: self._status.nbytes)
@@ -282,6 +284,7 @@ class Answers:
             robots=counts.robots,
             uptime_s=time.monotonic() - self._started,
             threads=self._threads,
+            restored=self._restored,
             store=None if self._store is None else self._store(),
             share=self._share,
         )
