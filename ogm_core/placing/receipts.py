@@ -100,7 +100,7 @@ class Receipts:
             return True
 
     def scan_lost(self, robot: str, sensor: str, count: int = 1) -> None:
-        """Count scans of a source that never came, and that nobody has any more."""
+        """Count scans of a source that never came, and that cannot be had again."""
         with self._lock:
             self._scans.lost += count
             self._changing(robot, sensor).lost += count

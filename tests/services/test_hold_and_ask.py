@@ -41,6 +41,7 @@ class Recorder:
     """(sensor or None, run, seq)."""
     up_to: dict = field(default_factory=dict)
     """By (sensor or None, run)."""
+    why_gone: list = field(default_factory=list)
     skipped: list = field(default_factory=list)
     waits: list = field(default_factory=list)
     room: bool = True
@@ -55,7 +56,8 @@ class Recorder:
     def has_room(self, robot, part):
         return self.room
 
-    def lost(self, source, count, run, seqs):
+    def lost(self, source, count, run, seqs, why):
+        self.why_gone.append(why)
         self.gone.append((source.sensor, run, count, list(seqs)))
 
     def replayed(self, source):
@@ -443,6 +445,7 @@ def test_a_gap_that_no_cache_fills_is_asked_for_three_times_and_lost(
     take(hold, scan(9))  # there is no cache, as is known by now
     assert recorder.seqs() == [0, 1, 5, 7, 9]
     assert recorder.gone[2:] == [("s", "a", 1, [8])]
+    assert recorder.why_gone == ["not kept"] * 3
     assert len(asked) == 3
 
 
@@ -634,6 +637,7 @@ def test_a_cache_that_does_not_answer_holds_its_robot_for_three_questions(
     eventually(lambda: recorder.seqs() == [0, 3, 4])
     assert len(kept) == 3
     assert recorder.gone == [("s", "a", 2, [1, 2])]
+    assert recorder.why_gone == ["no answer"]
     for query in kept:
         query.drop()
 

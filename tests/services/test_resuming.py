@@ -286,10 +286,14 @@ def test_a_message_that_is_too_long_is_counted_and_not_asked_for(robot, subscrib
 
 def test_what_is_lost_is_said_in_the_log(caplog):
     reception = Reception(ScanQueue(10), Receipts(), max_beams=10)
-    reception.lost(Source("r", "s"), 3, "a", range(4, 9))
-    reception.lost(Source("q", None), 1, "", range(0))
+    reception.lost(Source("r", "s"), 3, "a", range(4, 9), "not kept")
+    reception.lost(Source("q", None), 2, "b", range(7, 9), "no answer")
+    reception.lost(Source("p", "s"), 1, "", range(0), "not held")
     assert caplog.messages == [
         "r/s: 3 scans are lost, of seq 4 to 8 of run 'a': they did not arrive, and no publisher of the robot "
         "keeps them",
-        "q/pose: 1 poses are lost: they did not arrive, and no publisher of the robot keeps them",
+        "q/pose: 2 poses are lost, of seq 7 to 8 of run 'b': they did not arrive, and publishers of the "
+        "robot that may keep them did not answer",
+        "p/s: 1 scans are lost: more came than is held while the robot's publishers are asked, and without a "
+        "number",
     ]

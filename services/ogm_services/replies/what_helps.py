@@ -16,7 +16,7 @@ WHAT_HELPS: Mapping[str, str] = {
 }
 """Why scans are dropped, and what to do, by reason."""
 LOST_HELPS = (
-    "never arrived, and nobody has them any more: a publisher keeps its newest cache_samples, while it runs"
+    "never arrived, and could not be had again: a publisher keeps its newest cache_samples, while it runs"
 )
 ON_ROBOTS_MEANS = "skipped, as the radius of other robots in the settings says"
 HINT_HELPS = "looks wrong: the mapper's log says what, and what to do"

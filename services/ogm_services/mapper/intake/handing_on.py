@@ -1,12 +1,15 @@
 """Handing on of messages: where they go, and what was decided of those before."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Literal, Protocol
 
 from ogm_core.placing.robot import Skip
 from ogm_core.types import PoseStamped, Scan
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import Source
+
+WhyLost = Literal["not kept", "no answer", "not held"]
+"""No cache has it any more; or one that may have it did not answer; or it came, and was too much to hold."""
 
 
 class Decided(Protocol):
@@ -105,7 +108,7 @@ class Intake(Protocol):
         """Whether nothing waits of a robot, or what is resumed takes less than this part of the queue."""
         ...
 
-    def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
+    def lost(self, source: Source, count: int, run: str, seqs: range, why: WhyLost) -> None:
         """Count so many of these seqs that cannot be had any more."""
         ...
 

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Mapping
 
 from ogm_core.errors import BadMessage
 from ogm_core.placing.reasons import too_many_robots, too_many_sensors
@@ -9,10 +10,17 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ROBOTS
 from ogm_core.wire.keys import Source
 from ogm_core.wire.messages import MAX_POSE_BYTES, check_length, max_scan_bytes
+from ogm_services.mapper.intake.handing_on import WhyLost
 from ogm_services.mapper.intake.message import Message
 from ogm_services.mapper.intake.overload import Overload
 from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.runtime.limited_log import LimitedLog
+
+_WHY_LOST: Mapping[WhyLost, str] = {
+    "not kept": "they did not arrive, and no publisher of the robot keeps them",
+    "no answer": "they did not arrive, and publishers of the robot that may keep them did not answer",
+    "not held": "more came than is held while the robot's publishers are asked, and without a number",
+}
 
 log = logging.getLogger(__name__)
 
@@ -72,14 +80,13 @@ class Reception:
         """Whether nothing waits of a robot, or what is resumed takes less than a part of the queue."""
         return self._queue.has_room(robot, part)
 
-    def lost(self, source: Source, count: int, run: str, seqs: range) -> None:
-        """Count messages that no cache has any more, and say which."""
+    def lost(self, source: Source, count: int, run: str, seqs: range, why: WhyLost) -> None:
+        """Count messages that cannot be had any more, and say which, and why."""
         robot, sensor = source
         what = "scans" if sensor is not None else "poses"
         which = f", of seq {seqs[0]} to {seqs[-1]} of run {run!r}" if seqs else ""
         self._complaints.warning(
-            f"{robot}/{sensor or 'pose'}",
-            f"{count} {what} are lost{which}: they did not arrive, and no publisher of the robot keeps them",
+            f"{robot}/{sensor or 'pose'}", f"{count} {what} are lost{which}: {_WHY_LOST[why]}"
         )
         if sensor is None:
             self._receipts.pose_lost(robot, count)

@@ -9,7 +9,7 @@ from ogm_core.placing.rules import MAX_SENSORS
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
-from ogm_services.mapper.intake.handing_on import Decided, Intake
+from ogm_services.mapper.intake.handing_on import Decided, Intake, WhyLost
 from ogm_services.mapper.intake.held import Held, HeldBytes, HeldMessages
 from ogm_services.mapper.intake.held_source import HeldSource
 from ogm_services.mapper.intake.numbering import Numbering, Standing
@@ -313,7 +313,8 @@ class RobotHold:
                 return False
             if self.answered is not None and source.sensor not in self.answered and not known.caches:
                 known.none_of = run
-        self._give_up(source, run, numbering.take(run, seq))
+        why: WhyLost = "no answer" if self.unanswered else "not kept"
+        self._give_up(source, run, numbering.take(run, seq), why)
         self._intake.hand_on(source, item.payload, resumed=self.is_held)
         return True
 
@@ -326,11 +327,11 @@ class RobotHold:
             if gone.command is not None:
                 gone.command()
             elif gone.head is None or not gone.head[2]:
-                self._intake.lost(gone.source, 1, "", range(0))  # nobody would miss it
+                self._intake.lost(gone.source, 1, "", range(0), "not held")  # nobody would miss it
                 if gone.source.sensor is not None:
                     self._decided.drop_unnumbered(gone.source.robot, gone.source.sensor, "lost")
 
-    def _give_up(self, source: Source, run: str, seqs: range) -> None:
+    def _give_up(self, source: Source, run: str, seqs: range, why: WhyLost = "not kept") -> None:
         """Count what is missing for good, but for what was decided in an earlier life."""
         if not seqs:
             return
@@ -338,5 +339,5 @@ class RobotHold:
         if count <= _COUNTED:
             count -= sum(self._decided.is_decided(*source, run, seq) for seq in seqs)
         if count:
-            self._intake.lost(source, count, run, seqs)
+            self._intake.lost(source, count, run, seqs, why)
             self._decided.skip(*source, run, seqs[0], seqs[-1], count=count)
