@@ -19,7 +19,7 @@ from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.mapper.intake import caches as caches_module
 from ogm_services.mapper.intake import held as held_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
-from ogm_services.mapper.intake import robot_hold
+from ogm_services.mapper.intake import robot_caches
 from ogm_services.mapper.intake.caches import Answer, Caches
 from ogm_services.mapper.intake.held_source import SILENCE
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
@@ -106,7 +106,7 @@ def started(hold):
 def quick(monkeypatch):
     """Pauses are short, and nobody waits for caches that do not answer but three times."""
     monkeypatch.setattr(hold_module, "PAUSES", (0.02, 0.02))
-    monkeypatch.setattr(robot_hold, "SILENT", 0.0)
+    monkeypatch.setattr(robot_caches, "SILENT", 0.0)
 
 
 @pytest.fixture
@@ -386,7 +386,7 @@ def test_scans_wait_for_their_poses_while_their_robot_is_held_and_when_its_cache
     assert held == math.inf
     assert released <= time.monotonic()
     hold.cache_changed(SCANS, "one", False)
-    assert recorder.waits[2] > time.monotonic() + robot_hold.AWAY / 2.0
+    assert recorder.waits[2] > time.monotonic() + robot_caches.AWAY / 2.0
 
 
 def test_what_is_missing_of_a_robot_whose_caches_have_just_gone_is_not_lost(
@@ -411,7 +411,7 @@ def test_what_is_missing_of_a_robot_whose_caches_have_just_gone_is_not_lost(
 def test_what_is_missing_of_a_robot_whose_caches_are_gone_for_long_is_lost(
     hold, recorder, eventually, monkeypatch
 ):
-    monkeypatch.setattr(robot_hold, "AWAY", 0.0)
+    monkeypatch.setattr(robot_caches, "AWAY", 0.0)
     hold.cache_changed(SCANS, "one", True)
     take(hold, scan(0))
     hold.cache_changed(SCANS, "one", False)
@@ -645,7 +645,7 @@ def test_a_cache_that_does_not_answer_holds_its_robot_for_three_questions(
 def test_a_cache_that_is_there_and_is_slow_is_asked_for_longer_and_nothing_is_lost(
     hold, recorder, cache, eventually, monkeypatch
 ):
-    monkeypatch.setattr(robot_hold, "SILENT", 60.0)
+    monkeypatch.setattr(robot_caches, "SILENT", 60.0)
     publisher, ask, failing = cache(), Caches.ask, [8]
 
     def slow(self, robot, keys, parameters, account):

@@ -21,6 +21,7 @@ from ogm_services.mapper.intake.caches import Caches
 from ogm_services.mapper.intake.handing_on import Decided, Intake
 from ogm_services.mapper.intake.held import Held, HeldBytes
 from ogm_services.mapper.intake.in_step import InStep
+from ogm_services.mapper.intake.robot_caches import SETTLING
 from ogm_services.mapper.intake.robot_hold import RobotHold
 
 ASKS = 3
@@ -38,8 +39,6 @@ SHARE = 0.25
 """What is being resumed takes this part of the queue, or one message of each robot."""
 PATIENCE = 10.0
 """What is held waits so long for that, s: a mapper that has more to do than it can will not have room."""
-SETTLING = 0.1
-"""A robot's caches come one after the other: it is asked when so long none has come, s."""
 _PAUSE = 0.005
 
 log = logging.getLogger(__name__)
@@ -197,7 +196,7 @@ class HoldAndAsk:
             if robot.at_work or self._stopping.is_set():
                 return
             robot.at_work = True
-        patient = robot.unanswered
+        patient = robot.caches.unanswered
         try:
             (self._patient_askers if patient else self._askers).submit(self._work, robot, patient)
         except RuntimeError:  # it was stopped in between
@@ -209,7 +208,7 @@ class HoldAndAsk:
             if self._in_step is not None:
                 self._in_step.begin(robot.name)
             for _ in range(10):
-                if not robot.is_settling(time.monotonic(), SETTLING) or self._stopping.wait(SETTLING):
+                if not robot.caches.is_settling(time.monotonic()) or self._stopping.wait(SETTLING):
                     break
             self._catch_up(robot, patient)
         except Exception:
@@ -243,13 +242,13 @@ class HoldAndAsk:
                 return
             if not progress and ((gap and not handed_on) or not whole):
                 now = time.monotonic()
-                if robot.may_come_back(now) or robot.may_answer(now):
+                if robot.caches.may_come_back(now) or robot.caches.may_answer(now):
                     robot.fails = 0
                     self._stopping.wait(PAUSES[0])
                     return  # it stays held, and is asked anew after others
                 robot.fails += 1
                 if robot.fails < ASKS:
-                    if robot.unanswered and not patient:
+                    if robot.caches.unanswered and not patient:
                         return
                     self._stopping.wait(PAUSES[robot.fails - 1])
                     continue
@@ -263,7 +262,7 @@ class HoldAndAsk:
 
         `final`: it is asked no more.
         """
-        progress, whole, robot.answered = False, True, None
+        progress, whole, robot.caches.answered = False, True, None
         try:
             with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
                 whole = final or not robot.lacks_any(backlog.sources, backlog.runs)
@@ -274,11 +273,11 @@ class HoldAndAsk:
                     if self._stopping.is_set():
                         return progress, False
                 if whole:
-                    robot.answered = {source.sensor for source in backlog.sources}
-            robot.note_answered(True, time.monotonic())
+                    robot.caches.answered = {source.sensor for source in backlog.sources}
+            robot.caches.note_answered(True, time.monotonic())
         except Unanswered:
             whole = False
-            robot.note_answered(False, time.monotonic())
+            robot.caches.note_answered(False, time.monotonic())
         return progress, whole
 
     def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:

@@ -13,11 +13,8 @@ from ogm_services.mapper.intake.handing_on import Decided, Intake, WhyLost
 from ogm_services.mapper.intake.held import Held, HeldBytes, HeldMessages
 from ogm_services.mapper.intake.held_source import HeldSource
 from ogm_services.mapper.intake.numbering import Numbering, Standing
+from ogm_services.mapper.intake.robot_caches import RobotCaches
 
-AWAY = 10.0
-"""A robot whose caches go may come back within that, s: its scans wait for their poses meanwhile."""
-SILENT = 20.0
-"""A robot whose caches are there and do not answer is asked for so long, s, before what it misses is lost."""
 _COUNTED = 10_000
 """So many missing ones are looked at, whether they were decided; more are all missing."""
 
@@ -38,22 +35,13 @@ class RobotHold:
         """Whether it is to be asked once more."""
         self.fails = 0
         """How often in a row it was asked in vain for what is missing."""
-        self.unanswered = False
-        """Whether its caches did not answer when they were asked last."""
-        self._silent_since = 0.0
-        """When they did not for the first time in a row, s."""
-        self.answered: set[str | None] | None = None
-        """Sensors, None for poses, whose caches had something when asked last; None: not all answered."""
         self._decided = decided
         self._intake = intake
         self._held = HeldMessages(held_bytes)
         self.is_held = False
         """Whether what comes is kept."""
         self._sources: dict[str | None, HeldSource] = {}
-        self._back = 0.0
-        """Until when it may come back, s, if its caches have gone."""
-        self._changed = 0.0
-        """When the last cache came, s."""
+        self.caches = RobotCaches(self._sources)
 
     @property
     def heard(self) -> float:
@@ -130,38 +118,11 @@ class RobotHold:
         known = self.source(sensor, now)
         if known is None:
             return False
-        if not here:
-            known.caches.discard(cache)
-            with self.lock:
-                self._back = now + AWAY
-                if not self.is_held:
-                    self._decided.wait_on(self.name, self._back)
-            return False
-        self._changed = now
-        known.caches.add(cache)
-        known.had_cache = True
-        known.none_of = None
-        return True
-
-    def may_come_back(self, now: float) -> bool:
-        """Whether a source's caches are gone, but not for long: its publisher may be on its way back."""
-        sources = list(self._sources.values())
-        return now < self._back and any(known.had_cache and not known.caches for known in sources)
-
-    def note_answered(self, answered: bool, now: float) -> None:
-        """Note whether all caches that were asked have answered."""
-        if not answered and not self.unanswered:
-            self._silent_since = now
-        self.unanswered = not answered
-
-    def may_answer(self, now: float) -> bool:
-        """Whether its caches are there and did not answer, but not for long: they may just be slow."""
-        sources = list(self._sources.values())
-        return self.unanswered and now < self._silent_since + SILENT and any(each.caches for each in sources)
-
-    def is_settling(self, now: float, settling: float) -> bool:
-        """Whether a cache came within the last `settling` s: others may come yet."""
-        return now - self._changed < settling
+        with self.lock:
+            self.caches.note(known, cache, here, now)
+            if not here and not self.is_held:
+                self._decided.wait_on(self.name, self.caches.back)
+        return here
 
     def too_silent(self, now: float) -> bool:
         """Whether a source that has a cache is silent for so long that it is to be asked."""
@@ -259,7 +220,7 @@ class RobotHold:
                 if not self._held:
                     if not self.again:
                         self.is_held = False
-                        self._decided.wait_on(self.name, max(time.monotonic(), self._back))
+                        self._decided.wait_on(self.name, max(time.monotonic(), self.caches.back))
                     return False, progress
                 item = self._held.oldest
                 if item.command is not None:
@@ -311,9 +272,10 @@ class RobotHold:
         if (standing is Standing.GAP or standing is Standing.BEGINNING) and known.none_of != run:
             if not forced:
                 return False
-            if self.answered is not None and source.sensor not in self.answered and not known.caches:
+            answered = self.caches.answered
+            if answered is not None and source.sensor not in answered and not known.caches:
                 known.none_of = run
-        why: WhyLost = "no answer" if self.unanswered else "not kept"
+        why: WhyLost = "no answer" if self.caches.unanswered else "not kept"
         self._give_up(source, run, numbering.take(run, seq), why)
         self._intake.hand_on(source, item.payload, resumed=self.is_held)
         return True
