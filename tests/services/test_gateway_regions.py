@@ -1,10 +1,12 @@
 """A gateway that is asked about a part of its map: it asks the shares that this meets, no others."""
 
+import math
 import threading
 from contextlib import closing
 
 import numpy as np
 import pytest
+from numpy.testing import assert_equal
 
 from fleet_desk import Fleet, npz
 from ogm_client import MapClient
@@ -12,6 +14,7 @@ from ogm_core.files.map_files import encode_npz
 from ogm_core.lattice import CellRect, Lattice, Region
 from ogm_core.shares import Cuts
 from ogm_services.mapper.shares.layout import ShareLayout
+from ogm_services.replies.answer import PartOfMap
 
 WEST = "-3,-3,0,3"
 """Shares 0 and 2 own it: it ends where 1 and 3 begin."""
@@ -144,6 +147,55 @@ def test_a_map_larger_than_a_gateways_memory_is_looked_at_by_region(fleet):
         points = {"points": [[x, y]], "margin": 0.2}
         assert http.post("/check", json=points).content == ample.post("/check", json=points).content
     assert http.get("/map.png?region=-6,-6,6,6").json()["type"] == "busy"
+
+
+def test_what_is_asked_of_a_share_that_is_not_held_is_as_new_as_the_question(fleet):
+    (service, http), (_, ample) = fleet.gateway(), fleet.gateway()
+    gathered = service.parts.gathered
+    gathered._max_bytes = 200_000
+    fleet.integrate(8)
+    missing = [each["share"] for each in http.get("/map.json").json()["missing"]]
+    service.parts.keeping_up.stop()  # which hears now and then of what is not held
+    gathered._max_bytes += 200_000  # for what is asked for in passing
+    x0, y0 = (-2.5 if missing[0] in (0, 2) else 0.5), (-2.5 if missing[0] in (0, 1) else 0.5)
+    questions = {
+        name: f"/{layer}&region={x0},{y0},{x0 + 2},{y0 + 2}"
+        for name, layer in (
+            ("distance", "distance.npz?max_distance=0.5"),
+            ("occupancy", "inflate.npz?radius=0.3"),
+        )
+    }
+    for _ in range(3):
+        for name, question in questions.items():
+            assert_equal(npz(http.get(question).content)[name], npz(ample.get(question).content)[name])
+        fleet.integrate(1)
+
+
+def test_a_map_that_was_waited_for_lacks_no_share_that_has_become_too_large_meanwhile(fleet, monkeypatch):
+    service, http = fleet.gateway()
+    gathered, answers = service.parts.gathered, service.parts.answers
+    fleet.integrate(8)
+    http.get("/map.json")
+    service.parts.keeping_up.stop()
+    gather, left = service.parts.gathering.gather, [1]
+
+    def gathered_twice(*shares):
+        """Another thread gathers once more right after this one, and there is no room."""
+        found = gather(*shares)
+        if left:
+            left.clear()
+            fleet.integrate(1)
+            gathered._max_bytes = 200_000
+            gather()
+        return found
+
+    monkeypatch.setattr(service.parts.gathering, "gather", gathered_twice)
+    answer = answers.map("npz", {})
+    assert gathered.state.not_held
+    assert answer.meta.get("missing"), "cells that are not held are told as unknown"
+    with pytest.raises(PartOfMap, match="does not fit"):
+        answers.map("npz", {"complete": "1"})
+    gathered._max_bytes = math.inf
 
 
 def test_of_a_map_that_begins_anew_a_gateway_holds_again_what_was_too_large(fleet):

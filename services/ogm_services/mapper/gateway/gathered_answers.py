@@ -24,6 +24,7 @@ from ogm_services.mapper.serving.map_parameters import (
     region_of,
 )
 from ogm_services.mapper.serving.map_updates import SINCE
+from ogm_services.mapper.serving.queries import Whole
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.mapper.shares.gathered_map import GatheredMap
@@ -104,8 +105,8 @@ class GatheredAnswers(Answers):
         super().check_ready()
         self._gathering.gather()
 
-    def whole(self, region: Region | None = None) -> Callable[[], MapSnapshot]:
-        """What takes the map, of which nothing is missing in a region, None: at all.
+    def whole(self, region: Region | None = None) -> Whole:
+        """The map, of which nothing is missing in a region, None: at all.
 
         Raises:
             Starting: the gateway has not started.
@@ -115,10 +116,28 @@ class GatheredAnswers(Answers):
         self.check_started()
         return self._whole(self._cells_of(region))
 
-    def _whole(self, cells: CellRect | None) -> Callable[[], MapSnapshot]:
+    def _whole(self, cells: CellRect | None) -> Whole:
         found = self._gathered_on(cells)
         self._refuse_part(found.missing)
-        return found.take or self._map.snapshot
+        if found.take is None:
+            return Whole(lambda: self._held(cells))
+        return Whole(found.take, live=False)
+
+    def _held(self, cells: CellRect | None) -> MapSnapshot:
+        """The newest map, if some cells, None: all, are still held: another thread may have gathered since.
+
+        Raises:
+            PartOfMap: they have become too many.
+        """
+        snapshot = self._map.snapshot()
+        if self._too_large(cells):
+            self._refuse_part(self._gathering.newest.missing_of(self._too_large(cells)))
+        return snapshot
+
+    def _too_large(self, cells: CellRect | None) -> frozenset[int]:
+        """The shares of some cells, None: of all, that are not held."""
+        not_held = self._gathered.state.not_held
+        return not_held if cells is None else not_held & self._gathered.layout.met(cells)
 
     def _cells_of(self, region: Region | None) -> CellRect | None:
         """The cells that what is told of a region depends on, None: all.
@@ -143,7 +162,7 @@ class GatheredAnswers(Answers):
         """
         layout, gathering = self._gathered.layout, self._gathering
         shares: Collection[int] = range(layout.count) if cells is None else layout.met(cells)
-        held = cells is None or self._gathered.state.not_held.isdisjoint(shares)
+        held = cells is None or not self._too_large(cells)
         try:
             if cells is None or held:
                 found = gathering.gather(shares)
@@ -196,14 +215,17 @@ class GatheredAnswers(Answers):
             return super()._map_now(form, given)
         whole = _complete(form).read(given) == "1"
         rest = {name: value for name, value in given.items() if name != COMPLETE.name}
-        found = self._gathered_on(self._cells_of(region_of(rest)))
+        cells = self._cells_of(region_of(rest))
+        found = self._gathered_on(cells)
         if whole:
             self._refuse_part(found.missing)
-        if found.take is None or AT.name in rest:
-            return super()._map_now(form, rest)
-        return self._maps.answer_of(found.take, form, rest)
+        if found.take is not None and AT.name not in rest:
+            return self._maps.answer_of(found.take, form, rest)
+        answer = super()._map_now(form, rest)
+        # While it waited for its turn another gathering may have found that they are too many.
+        return self._map_now(form, given) if self._too_large(cells) else answer
 
-    def _with_cell(self, x: float, y: float) -> Callable[[], MapSnapshot]:
+    def _with_cell(self, x: float, y: float) -> Whole:
         return self._whole(self._around(CellRect(*self._gathered.settings.lattice.cell_of(x, y), 1, 1)))
 
     def quality_fields(self, *, fresh: bool = False, within: float = math.inf) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Sums:
     def balanced(self) -> bool:
         """Whether every scan that was received is in the sums: not while one share is ahead of another.
 
-        Nor after one of them was started again, which counts anew.
+        Nor ever again after one of them has lost its store, and counts anew.
         """
         scans = self.counts.scans
         return scans.received == scans.integrated + scans.pending + sum(scans.dropped.values())

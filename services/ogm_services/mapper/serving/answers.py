@@ -9,7 +9,6 @@ from typing import Any
 
 from ogm_core.lattice import Region
 from ogm_core.placing.receipts import Receipts
-from ogm_core.snapshot import MapSnapshot
 from ogm_core.status import ShareInfo, Status, StoreInfo
 from ogm_services.mapper.live.identity import Identity
 from ogm_services.mapper.live.monitor import Monitor
@@ -22,7 +21,7 @@ from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT,
 from ogm_services.mapper.serving.map_parameters import AT, CELL_X, CELL_Y, FINE_FIRST, served
 from ogm_services.mapper.serving.map_tiles import MapTile, MapTiles, palette_of, square_of
 from ogm_services.mapper.serving.map_updates import MapUpdates
-from ogm_services.mapper.serving.queries import Queries
+from ogm_services.mapper.serving.queries import Queries, Whole
 from ogm_services.mapper.serving.query_parameters import Parameter, check_names
 from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import NO_SNAPSHOTS, Answer, NotStored, Parameters, Starting
@@ -97,15 +96,15 @@ class Answers:
         """The same before a question is answered."""
         self.check_started()
 
-    def whole(self, region: Region | None = None) -> Callable[[], MapSnapshot]:
-        """What takes the map, of which nothing is missing in a region, None: at all; here nothing ever is.
+    def whole(self, region: Region | None = None) -> Whole:
+        """The map, of which nothing is missing in a region, None: at all; here nothing ever is.
 
         Raises:
             Starting: the mapper has not started.
         """
         del region
         self.check_ready()
-        return self._map.snapshot
+        return Whole(self._map.snapshot)
 
     @property
     def at_once(self) -> bool:
@@ -214,7 +213,7 @@ class Answers:
         self.check_started()
         check_names(given, (CELL_X, CELL_Y, FINE_FIRST))
         x, y = CELL_X.read(given), CELL_Y.read(given)
-        snapshot = served(self._with_cell(x, y)(), FINE_FIRST, given)
+        snapshot = served(self._with_cell(x, y).take(), FINE_FIRST, given)
         ix, iy = snapshot.lattice.cell_of(x, y)
         column, row = ix - snapshot.offset[0], iy - snapshot.offset[1]
         reply: dict[str, Any] = {"x": x, "y": y, "ix": ix, "iy": iy, "known": False}
@@ -231,8 +230,8 @@ class Answers:
                 reply |= {"known": True, "log_odds": log_odds, "probability": probability.item()}
         return _json(reply)
 
-    def _with_cell(self, x: float, y: float) -> Callable[[], MapSnapshot]:
-        """What takes the map, in which one cell is not missing."""
+    def _with_cell(self, x: float, y: float) -> Whole:
+        """The map, in which one cell is not missing."""
         del x, y
         return self.whole()
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import orjson
 
@@ -24,6 +24,14 @@ from ogm_services.mapper.serving.saved_maps import SavedMaps
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
 
 
+class Whole(NamedTuple):
+    """The map as it is to be looked at, of which nothing is missing there."""
+
+    take: Callable[[], MapSnapshot]
+    live: bool = True
+    """Whether it is the map that answers are kept of, and not one that was gathered for a question alone."""
+
+
 class Queries:
     """Everything that is computed from the map for who asks. Any thread; nothing waits for the network."""
 
@@ -32,10 +40,10 @@ class Queries:
         live_map: ServedMap,
         cache: AnswerCache,
         memory: AnswerMemory,
-        take: Callable[[Region | None], Callable[[], MapSnapshot]],
+        whole: Callable[[Region | None], Whole],
         saved: Callable[[], SavedMaps],
     ) -> None:
-        """`take` gives what takes the map; it refuses while the mapper starts, or a region is not all there.
+        """`whole` gives the map; it refuses while the mapper starts, or a region is not all there.
 
         `saved` gives the maps that are saved, or refuses where none are.
 
@@ -44,7 +52,7 @@ class Queries:
         self._map = live_map
         self._cache = cache
         self._memory = memory
-        self._take = take
+        self._whole = whole
         self._saved = saved
 
     def raycast(self, given: Parameters) -> Answer:
@@ -56,7 +64,7 @@ class Queries:
             Busy: it looks at much of a large map, and there is no memory or no thread left for it.
         """
         fan = Fan.read(given)
-        whole = self._take(fan.region)().finest()
+        whole = self._whole(fan.region).take().finest()
         part = FanCells.of(fan, whole)
         cells = part.snapshot.rect.cells
         with self._memory.large.making(cells), self._memory.in_flight.making(_bytes_of_states(part.snapshot)):
@@ -72,7 +80,7 @@ class Queries:
         """
         refuse_parameters(given, "check")
         asked = read_check(body, self._map.finest)
-        whole = self._take(self._map.finest.region_of(asked.rect))().finest()
+        whole = self._whole(self._map.finest.region_of(asked.rect)).take().finest()
         window = asked.rect.intersection(whole.rect)
         part = whole.part(window if window.cells else CellRect(*whole.offset, 0, 0))
         with self._memory.large.making(window.cells), self._memory.in_flight.making(_bytes_of_states(part)):
@@ -99,15 +107,19 @@ class Queries:
     def _layer(self, name: Query, form: str, given: Parameters) -> Answer:
         layer, region, saved_as = layer_of(name, form, given), region_of(given), AT.read(given)
         # A cell more: what is looked at counts from whole cells on.
-        take = self._take(_grown(region, layer.reach + self._map.finest.resolution))
+        found = self._whole(_grown(region, layer.reach + self._map.finest.resolution))
         if saved_as is not None:  # it is not kept, as no answer of saved maps is
             with self._saved().opened(saved_as) as whole:
                 return self._made(layer, region, form, whole.finest())
+        cells = self._map.cells_in(_grown(region, layer.reach), finest=True)
+        if not found.live:
+            with self._memory.large.making(cells):
+                return self._made(layer, region, form, found.take().finest())
         key = (f"{name}.{form}", tuple(sorted(given.items())))
         return self._cache.answer(
             *(key, self._map.now),
-            lambda: self._memory.large.making(self._map.cells_in(_grown(region, layer.reach), finest=True)),
-            lambda: self._made_and_kept(layer, region, form, key, take().finest()),
+            lambda: self._memory.large.making(cells),
+            lambda: self._made_and_kept(layer, region, form, key, found.take().finest()),
         )
 
     def _made_and_kept(
