@@ -2,12 +2,14 @@
 
 import json
 import multiprocessing
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ogm_core.errors import BadRecording, LimitReached
+from full_disk import room_for
+from ogm_core.errors import BadRecording, DiskFull, LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.lattice import CellRect, Clip
 from ogm_core.logs.recordings import RecordedScan, RecordingReader, write_jsonl
@@ -158,6 +160,31 @@ def test_a_log_that_cannot_be_read_is_refused_and_nothing_is_written(tmp_path, l
     )
 
 
+class FullDiskAfter(InThisProcess):
+    """The disk has no room from the end of one stage on."""
+
+    def __init__(self, stage, stack, size):
+        super().__init__(2)
+        self.stage, self.stack, self.size = stage, stack, size
+
+    def run(self, text, tasks):
+        results = super().run(text, tasks)
+        if text == self.stage:
+            self.stack.enter_context(room_for(self.size))
+        return results
+
+
+@pytest.mark.parametrize("stage", ["placing logs", "mapping areas"])
+@pytest.mark.parametrize("size", [0, 200])
+def test_a_disk_that_is_full_between_stages_is_told_in_one_line(tmp_path, logs, monkeypatch, stage, size):
+    """200 bytes hold the head of a file, and not what comes after it."""
+    with ExitStack() as stack:
+        monkeypatch.setattr(build, "WorkerProcesses", lambda _: FullDiskAfter(stage, stack, size))
+        with pytest.raises(DiskFull, match=r"--out \S+: cannot be written: File too large$"):
+            run_build(BuildRequest(logs, tmp_path / "out", settings_of(), workers=2))
+    assert sorted(tmp_path.iterdir()) == sorted(logs)
+
+
 def test_areas_fill_the_plane_and_share_the_work():
     """Of scans that lie along a bent way, most of them in a corner."""
     rng = np.random.default_rng(3)
@@ -198,6 +225,24 @@ def test_a_scan_is_accepted_unless_it_stretches_the_map_too_far_with_those_befor
     assert accepted.tolist() == [True, True, False, True, True, False]
     assert known == CellRect(0, 0, 100, 10)
     assert accepted_by(settings, rows[2:3], known)[0].tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(12, dtype=np.int16).reshape(3, 4),
+        np.arange(12.0).reshape(3, 4).T,
+        np.zeros((0, 4096), np.int8),
+        np.arange(10)[::3],
+    ],
+    ids=["int16", "by columns", "empty", "every third"],
+)
+def test_a_large_array_comes_back_as_it_was(tmp_path, array):
+    files = ScanFiles(tmp_path)
+    files.write_large("array", array)
+    read = files.large("array")
+    assert (read.dtype, read.shape) == (array.dtype, array.shape)
+    np.testing.assert_array_equal(read, array)
 
 
 def test_placed_scans_come_back_as_they_were(tmp_path):

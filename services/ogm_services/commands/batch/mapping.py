@@ -99,7 +99,8 @@ def _placed(
         index = files.index_of(number)
         accepted, known = accepted_by(grid_settings, index.extents, known)
         taken.append(_Taken(log, one, index, accepted))
-    files.write_arrays(ACCEPTED, {str(number): one.accepted for number, one in enumerate(taken)})
+    with written(files.folder, "--out"):
+        files.write_arrays(ACCEPTED, {str(number): one.accepted for number, one in enumerate(taken)})
     return taken, known
 
 
@@ -209,7 +210,8 @@ def _judge(
 ) -> None:
     """Have the scans that are in the map held against it, as many by each worker."""
     beliefs = consistency.beliefs
-    files.write_large(SIDES, beliefs.sides)
+    with written(files.folder, "--out"):
+        files.write_large(SIDES, beliefs.sides)
     edges = [grid.revision * number // workers.count for number in range(workers.count + 1)]
     tasks = [
         Task(

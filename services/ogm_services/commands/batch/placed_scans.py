@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from numpy.lib.format import header_data_from_array_1_0, write_array_header_1_0
 from numpy.typing import NDArray
 
 from ogm_core.lattice import CellRect
@@ -137,9 +138,11 @@ class ScanFiles:
 
     def write_large(self, name: str, array: NDArray[Any]) -> None:
         """Write an array that may be large under a name."""
-        part = self.new()
+        # Not by np.save, whose error on a full disk does not say that it is full.
+        part, array = self.new(), np.ascontiguousarray(array)
         with part.open("wb") as file:
-            np.save(file, array, allow_pickle=False)
+            write_array_header_1_0(file, header_data_from_array_1_0(array))
+            file.write(array.data)
         self.name(part, name)
 
     def large(self, name: str) -> NDArray[Any]:
