@@ -27,6 +27,7 @@ from ogm_core.sensor_models import (
     bresenham,
     counted_beams,
     dda,
+    one_call_kernels,
     passing,
     shared_lines,
     spans,
@@ -65,6 +66,9 @@ KERNELS = (
     spans.update_blocks,
     spans.update_one_by_one,
     agreement.agreement,
+    one_call_kernels.add_lines,
+    one_call_kernels.count_beams,
+    one_call_kernels.fill_area,
     held_out_beams.collect_returns,
     first_walls.count_early_walls,
     ray_kernel.cast_rays,
@@ -188,7 +192,7 @@ def test_what_can_wait_is_not_compiled_before_the_first_scan():
 def test_the_rest_can_be_given_up_between_two_passes_of_the_compiler(eventually, monkeypatch):
     passes = []
 
-    def compile_without_end(_):
+    def compile_without_end(*_):
         while True:
             passes.append(0)
             njit(lambda x: x + 1)(1)
@@ -256,6 +260,17 @@ def test_of_a_map_that_counts_nothing_is_compiled_afterwards(bounds, outside):
     assert min(compiled(OF_COUNTS)) >= 1
 
 
+def integrate_small_and_shared(settings, *, swept=False):
+    """Scans that are too small to be shared, and scans that are."""
+    for least in (10**9, 1):
+        with UpdateThreads(2, least_cells=least) as threads:
+            live_map = LiveMap(OccupancyGrid(settings), threads=threads)
+            for scan in scans():
+                sweep = Sweep(Pose(0, 0, 0), np.zeros((scan.ranges.size, 3))) if swept else None
+                for _ in range(3):
+                    live_map.integrate(scan, Pose(0, 0, 0), sweep)
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -278,10 +293,10 @@ def test_scans_that_several_threads_share_wait_for_no_compiler(settings):
         shared_lines.update_cells,
     )
     before = compiled(kernels)
-    with UpdateThreads(2, least_cells=1) as threads:
-        live_map = LiveMap(OccupancyGrid(settings), threads=threads)
-        for scan in scans():
-            for _ in range(3):
-                live_map.integrate(scan, Pose(0, 0, 0))
+    integrate_small_and_shared(settings)
     assert compiled(kernels) == before
     assert len(strip_work.even_cuts.signatures) == 1
+    warm_up_rest(settings, threads=2)
+    before = compiled(kernels)
+    integrate_small_and_shared(settings, swept=True)
+    assert compiled(kernels) == before

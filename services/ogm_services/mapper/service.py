@@ -212,7 +212,7 @@ class MapperService:
         config = dataclasses.replace(wanted, listen=tuple(map(resolve_listen, wanted.listen)))
         session = opening.enter_context(open_session(config))
         keys = MapKeys(network.map_name)
-        rest = RestOfWarmUp(self.parts.grid_settings)
+        rest = RestOfWarmUp(self.parts.grid_settings, self._settings.mapper.thread_count)
         opening.callback(rest.stop)  # last: a compiler's pass may take seconds, while all else stops
         share, limits = self.parts.share, self.parts.limits
         others = OtherMappers(session, keys, self.parts.run, share=None if share is None else share.index)

@@ -39,10 +39,7 @@ def warm_up(settings: GridSettings, threads: int = 1) -> None:
     Also those that cut a scan into parts, where more than one of the `threads` is to update cells.
     """
     small, scan, pose = _small(settings)
-    with UpdateThreads(threads, least_cells=1) as helping:
-        scratch = LiveMap(grid_of(small), threads=helping if threads > 1 else None)
-        for _ in range(3):  # kernels of a scan that tells of new cells, of one that does not, and of a team
-            scratch.integrate(scan, pose)
+    scratch = _mapped(small, scan, pose, None, threads)
     ScanSize(small).cells(scan.ranges, scan.angle_increment, scan.range_min, scan.range_max)
     hits_at_robots(small)(
         PlacedScan(scan, pose),
@@ -54,12 +51,10 @@ def warm_up(settings: GridSettings, threads: int = 1) -> None:
     encode_png(scratch.snapshot().finest())
 
 
-def warm_up_rest(settings: GridSettings) -> None:
+def warm_up_rest(settings: GridSettings, threads: int = 1) -> None:
     """The same for what can wait: storing, quality, other formats, tiles, sweeps, a map that is full."""
     small, scan, pose = _small(settings)
-    scratch = LiveMap(grid_of(small))
-    for _ in range(2):
-        scratch.integrate(scan, pose, Sweep(pose, np.array([pose, pose], np.float64)))
+    scratch = _mapped(small, scan, pose, Sweep(pose, np.array([pose, pose], np.float64)), threads)
     for tile in cast(Checkpoint, scratch.checkpoint()).tiles_since(0):
         encode_tile(tile.planes)
     scratch.quality()
@@ -73,12 +68,25 @@ def warm_up_rest(settings: GridSettings) -> None:
         grid_of(replace(small, max_bytes=1)).integrate(scan, pose)
 
 
+def _mapped(small: GridSettings, scan: Scan, pose: Pose, sweep: Sweep | None, threads: int) -> LiveMap:
+    """A map of a scan, which goes all ways that scans go into a map: two of one thread, and shared ones."""
+    scratch = LiveMap(grid_of(small))
+    for _ in range(2):  # kernels of a scan that tells of new cells, and of one that does not
+        scratch.integrate(scan, pose, sweep)
+    if threads > 1:
+        with UpdateThreads(threads, least_cells=1) as helping:
+            shared = LiveMap(grid_of(small), threads=helping)
+            for _ in range(3):  # in parts, then found to be worth a team, then by one
+                shared.integrate(scan, pose, sweep)
+    return scratch
+
+
 class RestOfWarmUp:
     """`warm_up_rest` on a thread of its own: nobody waits for it. Started at most once, stopped once."""
 
-    def __init__(self, settings: GridSettings) -> None:
+    def __init__(self, settings: GridSettings, threads: int = 1) -> None:
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(settings,), name="ogm-warm-up")
+        self._thread = threading.Thread(target=self._run, args=(settings, threads), name="ogm-warm-up")
 
     def start(self) -> None:
         """Begin."""
@@ -94,10 +102,10 @@ class RestOfWarmUp:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def _run(self, settings: GridSettings) -> None:
+    def _run(self, settings: GridSettings, threads: int) -> None:
         try:
             with suppress(MakeWay), compiling_until(self._stopping.is_set):
-                warm_up_rest(settings)
+                warm_up_rest(settings, threads)
         except Exception:
             # A bug of ours: its traceback is kept, and whoever needs these kernels compiles them.
             log.exception("not every kernel could be made ready")
