@@ -46,7 +46,7 @@ from ogm_services.mapper.serving.map_tiles import MapTiles
 from ogm_services.mapper.serving.raycasts import Fan, FanCells
 
 ROOT = Path(__file__).parents[2]
-TIMEOUT = 60.0
+TIMEOUT = 240.0
 
 KERNELS = (
     beams.project,
