@@ -102,7 +102,7 @@ def test_the_status_adds_up_what_the_shares_have_counted(fleet):
         (k, "up", 6) for k in range(4)
     ]
     assert status["shares"][1]["bounds"] == [0.0, None, None, 0.0]
-    fleet.shares[3].scans["integrated"] = 0  # it was started again
+    fleet.shares[3].scans["integrated"] = 0  # it has begun to count anew
     assert http.get("/status").json()["complete"] is False
     fleet.shares[3].scans |= {"integrated": 11, "dropped": {"overload": 1}}
     fleet.shares[2].store = StoreInfo(3, "disk full", 10)

@@ -17,12 +17,7 @@ from ogm_services.mapper.live.monitor import Monitor
 from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answers import Answers
 from ogm_services.mapper.serving.map_formats import MAP_FORMATS, UPDATES_FORMAT
-from ogm_services.mapper.serving.map_parameters import (
-    AT,
-    COMPLETE,
-    COMPLETE_FIRST,
-    region_of,
-)
+from ogm_services.mapper.serving.map_parameters import AT, COMPLETE, COMPLETE_FIRST, region_of
 from ogm_services.mapper.serving.map_updates import SINCE
 from ogm_services.mapper.serving.queries import Whole
 from ogm_services.mapper.serving.query_parameters import ChoiceParameter, Parameter
@@ -33,6 +28,9 @@ from ogm_services.mapper.shares.gathering import Gathering
 from ogm_services.mapper.shares.share_parts import MissingShare
 from ogm_services.replies.answer import Answer, AskShares, Busy, OtherGateway, Parameters, PartOfMap
 
+PLANNERS = frozenset({"pgm", "yaml"})
+"""Formats that a planner loads, to which what is unknown may be free."""
+
 
 class _Found(NamedTuple):
     """What there is of some cells."""
@@ -41,10 +39,6 @@ class _Found(NamedTuple):
     """Shares whose cells are not there."""
     take: Callable[[], MapSnapshot] | None
     """What takes the map with what there is of them; None: that is the newest one."""
-
-
-PLANNERS = frozenset({"pgm", "yaml"})
-"""Formats that a planner loads, to which what is unknown may be free."""
 
 
 class GatheredAnswers(Answers):

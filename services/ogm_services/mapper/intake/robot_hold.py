@@ -184,11 +184,7 @@ class RobotHold:
         if standing is Standing.OLD:
             self._intake.replayed(source)
             return False
-        with self.lock:
-            held, first = self._held.has(source.sensor, run, seq), self._held.first(source.sensor, run)
-        if held:
-            if seq == first and (standing is Standing.GAP or standing is Standing.BEGINNING):
-                self._give_up(source, run, known.numbering.begin_at(run, seq))
+        if self._is_held_too(source, run, seq, known.numbering):
             return False
         self._drain_before(stamp, source, room)
         with self.lock:
@@ -237,6 +233,14 @@ class RobotHold:
         with self.lock:
             while self._held:
                 self._held.pop()
+
+    def _is_held_too(self, source: Source, run: str, seq: int, numbering: Numbering) -> bool:
+        """Whether a message of a cache is held, too; what is missing before the first one is given up."""
+        with self.lock:
+            held, first = self._held.has(source.sensor, run, seq), self._held.first(source.sensor, run)
+        if held and seq == first and numbering.standing(run, seq) in (Standing.GAP, Standing.BEGINNING):
+            self._give_up(source, run, numbering.begin_at(run, seq))
+        return held
 
     def _drain_before(self, stamp: int, source: Source, room: Callable[[], bool]) -> None:
         """Hand on what is held and comes before a message of that stamp, up to a gap or a command."""
