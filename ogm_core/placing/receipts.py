@@ -99,26 +99,26 @@ class Receipts:
             self._changing(robot, sensor).received += 1
             return True
 
-    def scan_lost(self, robot: str, sensor: str, count: int = 1) -> None:
+    def scan_lost(self, robot: str, sensor: str, count: int) -> None:
         """Count scans of a source that never came, and that cannot be had again."""
         with self._lock:
             self._scans.lost += count
             self._changing(robot, sensor).lost += count
 
-    def pose_lost(self, robot: str, count: int = 1) -> None:
+    def pose_lost(self, count: int) -> None:
         """Count poses that never came, likewise."""
         with self._lock:
             self._poses["lost"] += count
 
-    def scan_replayed(self, robot: str, sensor: str, count: int = 1) -> None:
-        """Count scans that have come again, of which it was decided before what becomes of them."""
+    def scan_replayed(self) -> None:
+        """Count a scan that has come again, of which it was decided before what becomes of it."""
         with self._lock:
-            self._replayed += count
+            self._replayed += 1
 
-    def pose_replayed(self, robot: str, count: int = 1) -> None:
-        """Count poses that have come again, likewise."""
+    def pose_replayed(self) -> None:
+        """Count a pose that has come again, likewise."""
         with self._lock:
-            self._poses["replayed"] += count
+            self._poses["replayed"] += 1
 
     def admits(self, robot: str, now: float | None = None) -> bool:
         """Whether a robot has counts of its own, or gets them now: there is a last one."""

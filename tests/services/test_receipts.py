@@ -65,18 +65,17 @@ def test_what_is_lost_or_comes_again_is_not_received():
     receipts.scan_received("a", "s")
     receipts.pose_received("a")
     receipts.scan_lost("a", "s", 3)
-    receipts.scan_lost("a", "s")
+    receipts.scan_lost("a", "s", 1)
     receipts.scan_lost("a", "never heard", 5)
     receipts.scan_lost("nobody", "s", 7)
-    receipts.pose_lost("a", 11)
-    receipts.pose_lost("nobody")
-    receipts.scan_replayed("a", "s", 13)
-    receipts.scan_replayed("nobody", "s")
-    receipts.pose_replayed("a", 17)
+    receipts.pose_lost(11)
+    receipts.pose_lost(1)
+    for again in (receipts.scan_replayed, receipts.pose_replayed, receipts.pose_replayed):
+        again()
     status = receipts.status()
     scans, poses = status.scans, status.poses
-    assert (scans.received, scans.pending, scans.lost, scans.replayed) == (1, 1, 16, 14)
-    assert (poses.received, poses.lost, poses.replayed, poses.odd) == (1, 12, 17, {})
+    assert (scans.received, scans.pending, scans.lost, scans.replayed) == (1, 1, 16, 1)
+    assert (poses.received, poses.lost, poses.replayed, poses.odd) == (1, 12, 2, {})
     assert {name: robot.sources for name, robot in status.robots.items()} == {
         "a": {"s": SourceStatus("", None, 1, 1, 0, lost=4)}
     }

@@ -89,16 +89,16 @@ class Reception:
             f"{robot}/{sensor or 'pose'}", f"{count} {what} are lost{which}: {_WHY_LOST[why]}"
         )
         if sensor is None:
-            self._receipts.pose_lost(robot, count)
+            self._receipts.pose_lost(count)
         else:
             self._receipts.scan_lost(robot, sensor, count)
 
     def replayed(self, source: Source) -> None:
         """Count a message that came again."""
         if source.sensor is None:
-            self._receipts.pose_replayed(source.robot)
+            self._receipts.pose_replayed()
         else:
-            self._receipts.scan_replayed(source.robot, source.sensor)
+            self._receipts.scan_replayed()
 
     def _refused(self, source: Source, now: float) -> bool:
         """Count a message; whether it is of one robot, or sensor, too many, so that nothing is kept of it."""
