@@ -198,6 +198,23 @@ def test_a_map_that_was_waited_for_lacks_no_share_that_has_become_too_large_mean
     gathered._max_bytes = math.inf
 
 
+def test_a_gateway_that_holds_no_share_is_ready_while_they_answer_and_says_which_are_silent(fleet, caplog):
+    service, http = fleet.gateway()
+    service.parts.gathered._max_bytes = 1000
+    fleet.integrate(8)
+    for _ in range(3):
+        assert len(http.get("/map.json").json()["missing"]) == 4
+        assert "share 0, 1, 2, 3 of the map does not fit" in http.get("/map.pgm").json()["detail"]
+    assert http.get("/readyz").text == "ok"
+    assert "does not answer" not in caplog.text
+    for share in fleet.shares:
+        share.close()
+    for asked in ("/cell?x=-1&y=-1", "/map.pgm"):
+        assert "does not answer" in http.get(asked).json()["detail"]
+    assert http.get("/readyz").status_code == 503
+    assert caplog.text.count("does not answer") == 4
+
+
 def test_of_a_map_that_begins_anew_a_gateway_holds_again_what_was_too_large(fleet):
     service, http = fleet.gateway()
     service.parts.gathered._max_bytes = 200_000

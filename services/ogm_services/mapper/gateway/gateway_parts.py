@@ -117,7 +117,8 @@ class GatewayParts:
     def _nobody(self) -> str | None:
         """Why no question would be answered with any of the map."""
         newest = self.gathering.newest
-        if len(newest.missing) < self.gathered.layout.count:
+        silent = {each.share for each in newest.missing} - self.gathering.too_large
+        if len(silent) < self.gathered.layout.count:
             return None
         refused = "; ".join(f"share {share}: {why}" for share, why in self.gathering.refused.items())
         return f"no share of the map answers{f' ({refused})' if refused else ''}"

@@ -113,9 +113,7 @@ class GatheredAnswers(Answers):
     def _whole(self, cells: CellRect | None) -> Whole:
         found = self._gathered_on(cells)
         self._refuse_part(found.missing)
-        if found.take is None:
-            return Whole(lambda: self._held(cells))
-        return Whole(found.take, live=False)
+        return Whole(found.take or (lambda: self._held(cells)), live=found.take is None)
 
     def _held(self, cells: CellRect | None) -> MapSnapshot:
         """The newest map, if some cells, None: all, are still held: another thread may have gathered since.
@@ -124,8 +122,9 @@ class GatheredAnswers(Answers):
             PartOfMap: they have become too many.
         """
         snapshot = self._map.snapshot()
-        if self._too_large(cells):
-            self._refuse_part(self._gathering.newest.missing_of(self._too_large(cells)))
+        too_large = self._too_large(cells)
+        if too_large:
+            raise _does_not_fit(too_large)
         return snapshot
 
     def _too_large(self, cells: CellRect | None) -> frozenset[int]:
@@ -175,12 +174,10 @@ class GatheredAnswers(Answers):
         """Refuse what would mislead without the shares that are missing, if there are any."""
         if not missing:
             return
-        names, not_held = ", ".join(str(each.share) for each in missing), self._gathered.state.not_held
-        if not_held.issuperset(each.share for each in missing):
-            raise PartOfMap(
-                f"share {names} of the map does not fit into mapper.max_memory of this gateway: raise it, or "
-                "ask for regions of the map"
-            )
+        shares = [each.share for each in missing]
+        if self._gathering.too_large.issuperset(shares):
+            raise _does_not_fit(shares)
+        names = ", ".join(map(str, shares))
         raise PartOfMap(f"share {names} of the map does not answer: ask again in a few seconds")
 
     def map_parameters(self, form: str) -> tuple[Parameter, ...]:
@@ -284,6 +281,13 @@ class GatheredAnswers(Answers):
             if failing is not None and since is None:
                 found = replace(found, state="not storing", detail=failing)
         return found
+
+
+def _does_not_fit(shares: Collection[int]) -> PartOfMap:
+    return PartOfMap(
+        f"share {', '.join(map(str, sorted(shares)))} of the map does not fit into mapper.max_memory of this "
+        "gateway: raise it, or ask for regions of the map"
+    )
 
 
 def _complete(form: str) -> ChoiceParameter:

@@ -63,6 +63,7 @@ class Gathering:
         self._turns = threading.Condition()
         self._begun = dict.fromkeys(self._shares, float("-inf"))
         """When each share was asked last, by the clock."""
+        self._too_large: set[int] = set()
         self._asking: set[int] = set()
         """Those that a thread is asking now."""
         self._runs: dict[int, list[str]] = {}
@@ -115,6 +116,7 @@ class Gathering:
         state = self._gathered.state
         parts = tuple(new or known for new, known in zip(found.state.parts, state.parts, strict=True))
         with self._turns:
+            self._too_large -= missing
             since = {share: self._since.get(share, time.time_ns()) for share in missing}
         return Result(Gathered.of(parts, found.state.copies, state.not_held), self._described(since))
 
@@ -129,6 +131,12 @@ class Gathering:
         """Why what some shares tell is not taken."""
         with self._turns:
             return dict(self._refused)
+
+    @property
+    def too_large(self) -> frozenset[int]:
+        """Shares that have answered, and are not held for want of memory: they are missing, too."""
+        with self._turns:
+            return frozenset(self._too_large)
 
     def _described(self, since: Mapping[int, int]) -> tuple[MissingShare, ...]:
         bounds = self._gathered.layout.bounds
@@ -155,7 +163,10 @@ class Gathering:
             for share in shares
         }
         for share, answers in ask_shares(self._session, self._keys, "part", asked):
-            self._note(share, heard=self._take_newest(share, answers))
+            heard = self._take_newest(share, answers)
+            answered = any(not answer.refused for answer in answers)
+            too_large = answered and share in self._gathered.state.not_held
+            self._note(share, heard=heard, too_large=too_large)
             self._end_turns([share])
 
     def _wanted_of(self, share: int) -> str:
@@ -231,12 +242,18 @@ class Gathering:
         if isinstance(error, OtherMap | LimitReached):
             self._log.warning(f"share {share}", f"what it tells is not taken: {error}")
 
-    def _note(self, share: int, *, heard: bool) -> None:
+    def _note(self, share: int, *, heard: bool, too_large: bool) -> None:
         """Note whether a share is missing; tell when it answers again, and when it was silent twice in a row.
 
-        On a busy machine one answer of a share that is well may come too late.
+        On a busy machine one answer of a share that is well may come too late. One that answers, and is
+        `too_large` to be held, is missing all the same: why has been said.
         """
         with self._turns:
+            (self._too_large.add if too_large else self._too_large.discard)(share)
+            if too_large:
+                self._told_missing.discard(share)
+                self._since.setdefault(share, time.time_ns())
+                return
             if heard:
                 self._since.pop(share, None)
                 changed = share in self._told_missing
