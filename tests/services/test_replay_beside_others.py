@@ -83,6 +83,38 @@ def test_a_mapper_that_is_away_for_a_while_is_waited_for(mapper, tmp_path, monke
     assert capsys.readouterr().out.endswith("log.jsonl: 200 scans sent, 200 integrated\n")
 
 
+STARTS = MapperError("starting", 503, "it starts")
+
+
+def test_a_mapper_that_starts_when_the_replay_does_is_waited_for(mapper, tmp_path, monkeypatch, capsys):
+    """What it then counts is no loss of ours: its start came before the first message."""
+
+    def change(asked, status):
+        if asked < 3:
+            raise STARTS
+        return status
+
+    answering(monkeypatch, change)
+    log = log_of(tmp_path / "log.jsonl", 50, beams=8)
+    replay_into(mapper, log)
+    assert capsys.readouterr().out.endswith("log.jsonl: 50 scans sent, 50 integrated\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "patience"), [(NobodyAnswered("nobody"), 600.0), (STARTS, 0.2)], ids=["nobody", "starts"]
+)
+def test_no_mapper_is_waited_for_in_vain(mapper, tmp_path, monkeypatch, error, patience):
+    """At the start: none that is not there, and none that starts for too long."""
+
+    def change(*_):
+        raise error
+
+    answering(monkeypatch, change)
+    monkeypatch.setattr(replay, "START_PATIENCE", patience)
+    with pytest.raises(type(error), match=str(error)[:4]):
+        replay_into(mapper, log_of(tmp_path / "log.jsonl", 5, beams=8))
+
+
 @pytest.mark.parametrize("error", [NobodyAnswered("away"), MapperError("no-map", 404, "what?")])
 def test_a_mapper_that_stays_away_or_refuses_is_a_failure(mapper, tmp_path, monkeypatch, error):
     def change(asked, status):

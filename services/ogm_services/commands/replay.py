@@ -40,6 +40,8 @@ KEPT_SCANS = 2 * MAX_AHEAD
 link breaks, and as much again. The mapper asks for what it has missed."""
 MAPPER_PATIENCE = 10.0
 """How long the mapper may take no further scan of ours, or be away, s."""
+START_PATIENCE = 60.0
+"""How long it may start, compiling its kernels, before anything is sent, s."""
 AWAY_POLL = 0.1
 _UNAVAILABLE = 503
 POSES_PATIENCE = 600.0
@@ -106,7 +108,7 @@ class _Replay:
         self._unasked_poses = 0
         self._was_away = False
         """Whether the mapper was away, as it is where its router or a link ends and comes back."""
-        self._before = self._status = self._client.status()
+        self._before = self._status = self._answered()
 
     def publish(self, recorded: Recorded) -> None:
         """Send a message under a fresh run; wait first if as many scans as our share are on their way."""
@@ -202,16 +204,18 @@ class _Replay:
                 self._on_the_way.none_waits(source)
 
     def _answered(self) -> Status:
-        """The mapper's status; one that is away is waited for, and may have been started anew."""
-        deadline = time.monotonic() + MAPPER_PATIENCE
+        """The mapper's status; one that starts is waited for, and, once we have sent, one that is away."""
+        begun = bool(self._robots)
+        deadline = time.monotonic() + (MAPPER_PATIENCE if begun else START_PATIENCE)
         while True:
             try:
                 return self._client.status()
             except (NobodyAnswered, MapperError) as error:
                 starts = isinstance(error, MapperError) and error.status == _UNAVAILABLE
-                if time.monotonic() > deadline or not (starts or isinstance(error, NobodyAnswered)):
+                waits = starts or (begun and isinstance(error, NobodyAnswered))
+                if time.monotonic() > deadline or not waits:
                     raise
-            self._was_away = True
+            self._was_away = begun
             time.sleep(AWAY_POLL)
 
     def _patiently(self, reached: Callable[[], bool], what: str, patience: float | None = None) -> None:
