@@ -53,7 +53,7 @@ def build(
         typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
     ] = None,
     workers: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Work in so many processes; the map is the same.")
+        int, typer.Option(min=1, max=512, metavar="N", help="Work in so many processes; the map is the same.")
     ] = 1,
     each: Annotated[
         bool,
