@@ -115,7 +115,7 @@ class PartialMap(ClientError):
         shares = ", ".join(str(each.share) for each in missing)
         super().__init__(
             f"share {shares} of the map is missing: ask again in a few seconds, or take what is there, "
-            "by complete=0, or get_map(partial=True)"
+            "by ?complete=0 behind the file's name, or get_map(partial=True)"
         )
         self.map = part
         self.missing = missing
