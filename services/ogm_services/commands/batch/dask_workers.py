@@ -128,7 +128,10 @@ class DaskWorkers(Workers):
         workers = self._workers()
         paused = sum(worker["status"] == "paused" for worker in workers)
         if not workers:
-            return f"it has had no worker for {STALLED_FOR:.0f} s: start some, then build again"
+            return (
+                f"it has had no worker for {STALLED_FOR:.0f} s: start some, then build again; if they "
+                "ended at the first task, zenoh-ogm is not installed in their environment: see a worker's log"
+            )
         if not paused:
             return f"no worker has taken a task for {STALLED_FOR:.0f} s: look at the scheduler's log"
         return (
