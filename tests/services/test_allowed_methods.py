@@ -71,8 +71,11 @@ def test_head_is_get_without_its_body(cross):
             given, wanted = dict(head.headers), dict(whole.headers)
             del given["date"], wanted["date"]
             if CHANGING.search(path):
+                # Longer or shorter by a few digits, so maybe worth compressing at one time only.
                 assert int(given.pop("content-length")) > 0
-                del wanted["content-length"]
+                for headers in (given, wanted):
+                    headers.pop("content-length", None)
+                    headers.pop("content-encoding", None)
             assert given == wanted
         if "etag" in whole.headers:
             known = cross.http.head(asked(path), headers={"If-None-Match": whole.headers["etag"]})

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from ogm_client import MapClient, MapperError, NobodyAnswered, RobotPublisher
-from ogm_core.logs.recordings import RecordedPose, RecordedScan, write_jsonl
+from ogm_core.logs.recordings import RecordedScan, write_jsonl
 from ogm_core.placing import receipts
 from ogm_core.status import SourceStatus
-from ogm_core.types import IDENTITY, Pose, PoseStamped, Scan
+from ogm_core.types import IDENTITY, Pose, Scan
 from ogm_core.wire.keys import Source
 from ogm_services.commands import on_the_way, replay
 from ogm_services.commands.on_the_way import OnTheWay, Size
@@ -157,21 +157,18 @@ def test_poses_that_are_lost_while_the_mapper_is_away_are_a_failure(mapper, tmp_
         replay_into(mapper, log_of(tmp_path / "log.jsonl", 200, beams=8))
 
 
-def test_many_poses_are_not_sent_ahead_of_what_the_mapper_says(mapper, tmp_path, monkeypatch):
-    """As many as are kept for it to ask for, and no more."""
-    sent, put = [0], RobotPublisher.put_pose
-
-    def put_pose(robot, message):
-        sent[-1] += 1
-        put(robot, message)
-
-    monkeypatch.setattr(RobotPublisher, "put_pose", put_pose)
-    answering(monkeypatch, lambda _, status: sent.append(0) or status)
-    poses = [RecordedPose("logged", PoseStamped(k, IDENTITY, k, "r")) for k in range(1000)]
-    last = Scan(1000, 0.0, 0.1, 0.0, 8.0, np.ones(8, np.float32), pose=IDENTITY)
-    write_jsonl(tmp_path / "log.jsonl", [*poses, RecordedScan("logged", "laser", last)])
-    replay_into(mapper, tmp_path / "log.jsonl")
-    assert sent[:5] == [0, 320, 320, 320, 40]
+def test_it_keeps_nothing_for_a_mapper_that_comes_later(mapper, tmp_path, eventually):
+    """What it has sent is in its file, and scans of several robots are taken in its order."""
+    tokens, liveliness = [], mapper.session.liveliness()
+    keys = [f"ogm/v1/hall/robots/{robot}/scan/laser/@adv/**" for robot in ("logged", "other")]
+    declared = [liveliness.declare_subscriber(key, tokens.append) for key in keys]
+    replay_into(mapper, log_of(tmp_path / "log.jsonl", 20, beams=8))
+    with RobotPublisher("other", address=mapper.endpoint, map_name="hall", reliable=True) as robot:
+        robot.publish_scan([1.0], angle_min=0.0, angle_increment=0.1, range_min=0.0, range_max=8.0)
+        eventually(lambda: tokens)  # who keeps something has a token
+    for subscriber in declared:
+        subscriber.undeclare()
+    assert {str(token.key_expr).split("/")[4] for token in tokens} == {"other"}
 
 
 def test_it_ends_when_its_own_scans_are_in(mapper, tmp_path, capsys):

@@ -13,7 +13,6 @@ from typing import Literal
 import typer
 import zenoh
 
-from ogm_client.channels import POSES_A_SCAN
 from ogm_client.errors import ClientError, MapperError, NobodyAnswered
 from ogm_client.map_client import MapClient
 from ogm_client.robot import RobotPublisher
@@ -23,7 +22,7 @@ from ogm_core.logs.recorded import Recorded, RecordedPose
 from ogm_core.status import SourceStatus, Status
 from ogm_core.wire.keys import MAX_NAME, Source
 from ogm_services.commands.log_readers import AS_IT_SAYS, LogReader, ReadAs, log_reader
-from ogm_services.commands.on_the_way import MAX_AHEAD, OnTheWay, size_of
+from ogm_services.commands.on_the_way import OnTheWay, size_of
 from ogm_services.runtime.progress import progress_bar
 from ogm_services.settings.settings import Settings
 
@@ -33,11 +32,6 @@ ASK_EVERY = 16
 """Scans that are sent before it is asked again: its answer is long if there are many robots."""
 LONGEST_PAUSE = 10.0
 """Times in a log may be wrong: no pause between two messages is longer than this in the log's time, s."""
-POSES_AHEAD = POSES_A_SCAN * MAX_AHEAD
-"""Poses that are sent before it is asked."""
-KEPT_SCANS = 2 * MAX_AHEAD
-"""What each sensor's publisher keeps, and POSES_A_SCAN times as many poses: all that may be on its way when a
-link breaks, and as much again. The mapper asks for what it has missed."""
 MAPPER_PATIENCE = 10.0
 """How long the mapper may take no further scan of ours, or be away, s."""
 START_PATIENCE = 60.0
@@ -105,7 +99,6 @@ class _Replay:
         self._on_the_way = OnTheWay()
         self._unasked = 0
         """Scans that were sent since the mapper was asked."""
-        self._unasked_poses = 0
         self._was_away = False
         """Whether the mapper was away, as it is where its router or a link ends and comes back."""
         self._before = self._status = self._answered()
@@ -114,9 +107,6 @@ class _Replay:
         """Send a message under a fresh run; wait first if as many scans as our share are on their way."""
         publisher = self._publisher(recorded.robot)
         if isinstance(recorded, RecordedPose):
-            if self._unasked_poses >= POSES_AHEAD:
-                self._follow()
-            self._unasked_poses += 1
             source = Source(recorded.robot, None)
             run, seq = self._renamed(source, recorded.message.run, recorded.message.seq)
             publisher.put_pose(replace(recorded.message, run=run, seq=seq))
@@ -192,7 +182,7 @@ class _Replay:
     def _follow(self) -> None:
         """Ask the mapper how far it is with every source."""
         before, self._status = self._status, self._answered()
-        self._unasked = self._unasked_poses = 0
+        self._unasked = 0
         for source, total in self._sent.items():
             status = _status_of(self._status, source)
             if status.received < _status_of(before, source).received:
@@ -235,13 +225,15 @@ class _Replay:
 
     def _publisher(self, robot: str) -> RobotPublisher:
         if robot not in self._robots:
+            # Nothing is kept: a mapper that asks for what is missing holds a robot back meanwhile, and takes
+            # its scans after others that a build takes later.
             publisher = RobotPublisher(
                 robot,
                 session=self._session,
                 map_name=self._map_name,
                 run=self._run,
                 reliable=True,
-                cache_samples=KEPT_SCANS,
+                cache_samples=0,
             )
             self._robots[robot] = self._opening.enter_context(publisher)
             publisher.wait_for_mapper(MAPPER_PATIENCE)
