@@ -255,7 +255,7 @@ class TestBadClients:
 
     def test_a_flood_of_views_is_answered_by_the_newest(self, cross):
         with client_of(cross) as client:
-            for n in range(3000):
+            for n in range(1000):  # more at once are refused: a slow machine may read all of them at once
                 client.view([n, 0, n, 0], rate=20)
             client.view(since=0)
             client.until(lambda message: len(message["tiles"]) == 3)
