@@ -90,7 +90,7 @@ def test_pods_run_a_command_of_the_image_with_what_they_may_write(kind, name, do
     command, flags = taken(container["args"])
     assert command == ("mapper" if name == "share" else "gateway")
     mounts = {mount["mountPath"]: mount["name"] for mount in container["volumeMounts"]}
-    assert str(flags["config"].parent) in mounts
+    assert str(Path(flags["config"]).parent) in mounts
     (user,) = (found.text for found in dockerfile[-1] if found.name == "USER")
     context = pod["securityContext"]
     assert f"{context['runAsUser']}:{context['runAsGroup']}" == user
@@ -186,7 +186,7 @@ def test_units_start_a_share_and_a_gateway_of_the_map_that_the_file_cuts(tmp_pat
         program, *words = shlex.split(command.replace("%i", "2"))
         assert Path(program).name == "ogm"
         started, flags = taken(words)
-        assert flags["config"] == Path("/etc/ogm/settings.yaml")
+        assert Path(flags["config"]) == Path("/etc/ogm/settings.yaml")
         lines = unit_keys(UNITS / name)["Environment"]
         environ = dict(word.split("=", 1) for line in lines for word in shlex.split(line))
         given = {"shares": {"index": flags["index"]}} if started == "mapper" else {}
