@@ -19,6 +19,14 @@ def dying(folder, number, times):
     return number, begun
 
 
+def lasting(folder, number, times):
+    """As `dying`; return when it began and when it ended, s since this machine has started."""
+    began = time.monotonic()
+    time.sleep(0.1)
+    dying(folder, number, times)
+    return began, time.monotonic()
+
+
 def failing(text, mark=None):
     """Refuse; leave a mark before, if one is named."""
     if mark:

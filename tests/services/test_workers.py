@@ -1,6 +1,8 @@
 """Workers run tasks; those that die are replaced, and what they left is done again."""
 
 import multiprocessing
+import os
+import signal
 import time
 
 import pytest
@@ -17,17 +19,48 @@ def _none_is_left():
     assert set(multiprocessing.active_children()) == before
 
 
-def test_results_come_in_the_order_of_the_tasks_and_a_dead_workers_task_is_done_again(tmp_path):
-    """Two of seven kill their worker, one of them twice; others are done again at most beside them."""
+def test_results_come_in_the_order_of_the_tasks_and_only_a_dead_workers_task_is_done_again(tmp_path):
     times = [0, 0, 2, 0, 1, 0, 0]
     with WorkerProcesses(2) as workers:
         results = workers.run(
             "working", [task("dying", tmp_path, number, died) for number, died in enumerate(times)]
         )
         assert workers.run("again", [task("dying", tmp_path, 9, 0)]) == [(9, 1)]
-    assert [number for number, _ in results] == list(range(7))
-    for (_, begun), died in zip(results, times, strict=True):
-        assert died + 1 <= begun <= died + 3
+    assert results == [(number, died + 1) for number, died in enumerate(times)]
+
+
+def test_what_a_worker_died_of_is_done_again_alone(tmp_path):
+    """It may have died for want of memory."""
+    with WorkerProcesses(3) as workers:
+        spans = workers.run(
+            "working", [task("lasting", tmp_path, number, number == 1) for number in range(6)]
+        )
+    began, ended = spans.pop(1)
+    assert all(other_end <= began or ended <= other_begin for other_begin, other_end in spans)
+
+
+def test_a_worker_that_died_without_a_task_costs_none(tmp_path):
+    with WorkerProcesses(1) as workers:
+        for number in range(5):
+            assert workers.run("working", [task("dying", tmp_path, number, 0)]) == [(number, 1)]
+            (worker,) = multiprocessing.active_children()
+            os.kill(worker.pid, signal.SIGKILL)
+            worker.join()
+
+
+def test_workers_die_all_the_time_and_every_task_is_done(tmp_path):
+    """Also where one dies while tasks are handed to others."""
+    with WorkerProcesses(3) as workers:
+        results = workers.run(
+            "working", [task("dying", tmp_path, number, number % 3) for number in range(40)]
+        )
+    assert results == [(number, number % 3 + 1) for number in range(40)]
+
+
+def test_an_unforeseen_error_says_where_in_the_worker_it_was_raised(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught, WorkerProcesses(1) as workers:
+        workers.run("working", [task("dying", tmp_path / "nowhere", 0, 0)])
+    assert "in dying\n" in caught.value.__notes__[0]
 
 
 def test_a_task_that_its_workers_always_die_of_is_named_and_no_other(tmp_path):

@@ -110,8 +110,10 @@ class DaskWorkers(Workers):
             case ModuleNotFoundError() as error:
                 why = f"--dask: {error} at a worker: install zenoh-ogm in the workers' environment"
                 outcomes.fail(number, BadInput(why))
-            case _:
-                outcomes.note(number, future)
+            case None:
+                outcomes.note(number, future.result())
+            case error:
+                outcomes.fail(number, error)
 
     def _workers(self) -> list[dict[str, Any]]:
         """What the scheduler knows of each worker."""

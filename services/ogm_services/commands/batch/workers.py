@@ -1,22 +1,25 @@
 """Worker processes of this machine: they run tasks, and what one that died left is done again.
 
-Who owns what: the executor starts and feeds the processes, all from the thread that calls `run`. Whatever
-ends that thread's work, an error or a signal, kills them: what they were at is of no use to anybody. A worker
-ends by itself once its parent is no more.
+Who owns what: the thread that calls `run` starts the processes, feeds them and ends them; there is no other.
+Each process has a connection of its own and one task at a time, so it is known which task it has died of.
+(Python's ProcessPoolExecutor does not tell, and before 3.13 may wait for ever where a process dies while the
+next task is handed over.) Whatever ends that thread's work, an error or a signal, kills the processes: what
+they were at is of no use to anybody. One whose parent is no more ends by itself.
 """
 
 import multiprocessing
 import os
 import signal
 import threading
+import traceback
 from collections import Counter, deque
-from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, suppress
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self, cast
 
 from ogm_core.errors import OgmError
 from ogm_services.commands.batch.tasks import Task, run_task
@@ -24,6 +27,9 @@ from ogm_services.runtime.progress import progress_bar
 
 MOST_DEATHS = 3
 """So many workers may a task cost, at most."""
+ENDS_WITHIN = 10.0
+"""How long a process without work may take to end, s; then it is killed."""
+_PROCESSES = multiprocessing.get_context("spawn")  # not by fork: numba and our threads would not survive it
 _TRACKER: Any = resource_tracker._resource_tracker  # noqa: SLF001
 
 
@@ -57,13 +63,9 @@ class Outcomes:
         self._count = count
         self._failure: BaseException | None = None
 
-    def note(self, number: int, future: "Future[Any]") -> None:
-        """Note what a task gave whose future has ended."""
-        error = future.exception()
-        if error is None:
-            self.results[number] = future.result()
-        else:
-            self.fail(number, error)
+    def note(self, number: int, result: Any) -> None:  # noqa: ANN401 - whatever the task gave
+        """Note what a task gave."""
+        self.results[number] = result
 
     def fail(self, number: int, error: BaseException) -> None:
         """Note that a task failed."""
@@ -81,15 +83,50 @@ class Outcomes:
         return [self.results[number] for number in range(self._count)]
 
 
+class _Gave(NamedTuple):
+    """What a task gave, or the error that ended it."""
+
+    result: Any
+    error: BaseException | None = None
+
+
+class _Worker:
+    """A process that runs a task at a time, and the connection to it."""
+
+    def __init__(self) -> None:
+        self.connection, theirs = _PROCESSES.Pipe()
+        with theirs:  # open in the process alone: when it dies the connection ends
+            self._process = _PROCESSES.Process(target=_work, args=(theirs,), daemon=True)
+            self._process.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.is_alive()
+
+    def end(self) -> None:
+        """End the process, which has no work."""
+        self.connection.close()
+        self._process.join(ENDS_WITHIN)
+        self.kill()
+
+    def kill(self) -> None:
+        """End the process, whatever it is at."""
+        self.connection.close()
+        self._process.kill()
+        self._process.join()
+
+
 class WorkerProcesses(Workers):
     """Tasks are run by so many processes at the same time."""
 
     def __init__(self, count: int) -> None:
         """Start none before there is a task."""
         self.count = count
-        self._others = set(multiprocessing.active_children())
+        self._idle: list[_Worker] = []
+        self._busy: dict[Connection, tuple[_Worker, int]] = {}
+        """Who runs the task of which number, by the connection."""
         self._tracked = _TRACKER._pid is None  # noqa: SLF001 - nobody else's children need it
-        self._executor = self._new()
 
     def __enter__(self) -> Self:
         return self
@@ -97,116 +134,97 @@ class WorkerProcesses(Workers):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None:
-            self._kill()
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        for worker, _ in self._busy.values():
+            worker.kill()
+        for worker in self._idle:
+            worker.end()
         if self._tracked:
             # Python's helper process would end with this one, but a moment later.
             _TRACKER._stop()  # noqa: SLF001
 
     def run(self, text: str, tasks: Sequence[Task]) -> list[Any]:
         """See `Workers.run`."""
+        outcomes, waiting, deaths = Outcomes(len(tasks)), deque(range(len(tasks))), Counter[int]()
         with progress_bar(text, len(tasks), counted=True) as show:
-            run = _Run(tasks)
-            while run.left:
-                while (number := run.next(self.count)) is not None:
-                    run.running[self._begin(tasks[number])] = number
-                run.collect()
-                if run.broken:
-                    self._renew()
-                show(len(run.outcomes.results))
-            return run.outcomes.in_order()
+            while waiting or self._busy:
+                while waiting and len(self._busy) < self._most(waiting[0], deaths):
+                    number = waiting.popleft()
+                    self._begin(number, tasks[number])
+                for number, gave in self._ended():
+                    if gave is None:
+                        deaths[number] += 1
+                        if deaths[number] < MOST_DEATHS:
+                            waiting.appendleft(number)
+                        else:
+                            outcomes.fail(number, _died_of(tasks[number]))
+                    elif gave.error is not None:
+                        outcomes.fail(number, gave.error)
+                    else:
+                        outcomes.note(number, gave.result)
+                waiting = deque(filter(outcomes.matters, waiting))
+                self._drop(outcomes)
+                show(len(outcomes.results))
+            return outcomes.in_order()
 
-    def _begin(self, task: Task) -> "Future[Any]":
-        try:
-            return self._executor.submit(run_task, task)
-        except BrokenExecutor:  # a worker died that had nothing to do
-            self._renew()
-            return self._executor.submit(run_task, task)
+    def _most(self, number: int, deaths: Counter[int]) -> int:
+        """So many tasks may run beside this one and with it: what a worker died of is done again alone."""
+        running = (number for _, number in self._busy.values())
+        return 1 if any(deaths[one] for one in (number, *running)) else self.count
 
-    def _new(self) -> ProcessPoolExecutor:
-        # Not by fork: numba and our threads would not survive it.
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.count, mp_context=context, initializer=_begin_worker)
+    def _begin(self, number: int, task: Task) -> None:
+        """Hand a task to a process that has none, or to a new one."""
+        while self._idle:
+            worker = self._idle.pop()
+            if worker.alive:
+                break
+            worker.kill()  # it died without work, which no task is to blame for
+        else:
+            worker = _Worker()
+        self._busy[worker.connection] = worker, number
+        with suppress(OSError):  # it has just died: its connection says so
+            worker.connection.send(task)
 
-    def _renew(self) -> None:
-        self._executor.shutdown(wait=True, cancel_futures=True)
-        self._executor = self._new()
-
-    def _kill(self) -> None:
-        for process in set(multiprocessing.active_children()) - self._others:
-            process.kill()
-
-
-class _Run:
-    """Which tasks are still to be run, are running, and are done.
-
-    Of tasks that ran when a worker died nobody knows which it was that killed it: each is run again alone.
-    """
-
-    def __init__(self, tasks: Sequence[Task]) -> None:
-        self.outcomes = Outcomes(len(tasks))
-        self.running: dict[Future[Any], int] = {}
-        self.broken = False
-        self._tasks = tasks
-        self._waiting = deque(range(len(tasks)))
-        self._suspects: deque[int] = deque()
-        self._alone = False
-        self._deaths: Counter[int] = Counter()
-
-    @property
-    def left(self) -> bool:
-        """Whether a task that matters has not ended."""
-        return any((self.running, self._waiting, self._suspects))
-
-    def next(self, most: int) -> int | None:
-        """The number of a task that is to begin now, if `most` may run; None: none is."""
-        if not self.running:
-            self._alone = bool(self._suspects)
-            if self._suspects:
-                return self._suspects.popleft()
-        if self._alone or not self._waiting or len(self.running) >= most:
-            return None
-        return self._waiting.popleft()
-
-    def collect(self) -> None:
-        """Wait until a task has ended, and note what it gave; see whether workers died."""
-        done, _ = wait(self.running, return_when=FIRST_COMPLETED)
-        self.broken = any(isinstance(future.exception(), BrokenExecutor) for future in done)
-        if self.broken:
-            done, _ = wait(self.running)  # all end, by the same error
-        dead = []
-        for future in done:
-            number = self.running.pop(future)
-            if isinstance(future.exception(), BrokenExecutor):
-                dead.append(number)
+    def _ended(self) -> Iterator[tuple[int, _Gave | None]]:
+        """Wait until a task has ended; the numbers of those that have, and what they gave; None: a death."""
+        for connection in cast(list[Connection], wait_for(list(self._busy))):
+            worker, number = self._busy[connection]
+            try:
+                gave = connection.recv()
+            except (EOFError, OSError):
+                worker.kill()
+                gave = None
             else:
-                self.outcomes.note(number, future)
-        for number in sorted(dead):
-            self._died(number)
-        matters = self.outcomes.matters
-        self.running = {future: number for future, number in self.running.items() if matters(number)}
-        self._waiting = deque(filter(matters, self._waiting))
-        self._suspects = deque(filter(matters, self._suspects))
+                self._idle.append(worker)
+            del self._busy[connection]
+            yield number, gave
 
-    def _died(self, number: int) -> None:
-        """Note that a task may have killed its worker."""
-        self._deaths[number] += 1
-        if self._deaths[number] < MOST_DEATHS:
-            self._suspects.append(number)
-            return
-        why = (
-            f"{self._tasks[number].about}: {MOST_DEATHS} workers have died of it: is there no memory left? "
-            "Fewer --workers need less"
-        )
-        self.outcomes.fail(number, WorkerDied(why))
+    def _drop(self, outcomes: Outcomes) -> None:
+        """Kill who is at a task that does not matter any more."""
+        for connection, (worker, number) in list(self._busy.items()):
+            if not outcomes.matters(number):
+                worker.kill()
+                del self._busy[connection]
 
 
-def _begin_worker() -> None:
-    """In a worker: signals to the whole group are the parent's to handle, and without it there is no work."""
-    for number in (signal.SIGINT, signal.SIGHUP):
+def _died_of(task: Task) -> WorkerDied:
+    why = f"{MOST_DEATHS} workers have died of it: is there no memory left? Fewer --workers need less"
+    return WorkerDied(f"{task.about}: {why}")
+
+
+def _work(connection: Connection) -> None:
+    """Run the tasks that come, in a process of its own, until the connection ends."""
+    for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole group: the parent's to handle
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="ogm-parent", daemon=True).start()
+    with suppress(EOFError, OSError):  # the parent has closed it, or is gone
+        while True:
+            task = connection.recv()
+            try:
+                connection.send(_Gave(run_task(task)))
+            except Exception as error:  # noqa: BLE001 - the parent's to raise
+                if not isinstance(error, OgmError):
+                    error.add_note(traceback.format_exc())  # where in this process
+                connection.send(_Gave(None, error))
 
 
 def _end_with_parent() -> None:
