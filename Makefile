@@ -11,8 +11,9 @@ demo: $(VENV)/.run
 	@$(BIN)/ogm demo $(ARGS)
 
 # Three processes for two cores (tests/conftest.py), each with files of its own; the services' many short files come
-# last, so that all end together. A test that hangs takes its process along, and is begun again, at most twice.
-PARALLEL := -n auto --maxprocesses 8 --max-worker-restart 2 --dist loadfile --no-loadscope-reorder
+# last, so that all end together. A test that hangs takes its process along, and ends the run: pytest-xdist would wait
+# for ever for the process that took its place.
+PARALLEL := -n auto --maxprocesses 8 --max-worker-restart 0 --dist loadfile --no-loadscope-reorder
 
 # Tests that want programs by others.
 WITNESSED := tests/ros2 tests/e2e/test_ros2_played.py
