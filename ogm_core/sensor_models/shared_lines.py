@@ -38,6 +38,8 @@ from ogm_core.tiles.store import TILE, TILE_BITS
 _FIRST, _END, _BEAMS, _REVISION, _UPDATES, _WINDOW = range(1, 7)
 """Words of a mailbox: the first column of a part, and the one after its last, of so many beams; the revision;
 the number of updates when it is done; four of the whole window."""
+_WIDE = 8
+"""Parts are cut at every so many columns: no two share a line of a cache."""
 LEAST, TOOK, ALONE = range(3)
 """Numbers that are `told`: from how many cells each on parts are cut; seconds that the last scan took, 0 if
 nobody helped; and that the caller alone would have computed."""
@@ -55,8 +57,8 @@ def _update_part(
 ) -> int:
     """Update the cells from one column of the window to another; the number of updates.
 
-    Parts are cut where tiles are: near the sensor all beams mark the same ones, and two threads that mark a
-    tile wait for each other's caches most of the time.
+    Each thread has a `touched` of its own: near the sensor all beams mark the same tiles, and two threads
+    that mark one wait for each other's caches most of the time.
     """
     (first, end), (touched, cells, column) = part, store
     mine = window[0] + first, window[1], end - first, window[3]
@@ -107,7 +109,7 @@ def update_cells(
     """
     began, told, store = now(MONOTONIC), team[-1], (touched, cells, column)
     tiles = tiles_around(ends, CellRect(*window), 0)
-    cuts, fresh = _cuts(ends, window, tiles, team), unmarked(touched, tiles)
+    fresh, cuts = unmarked(touched, tiles), _cuts(ends, window, tiles, team)
     if cuts.size > 2:
         _post(ends, lines, window, revision, cuts, team)
     busy = now(OF_THREAD)
@@ -117,6 +119,7 @@ def update_cells(
         mailbox = team[0][n - 1]
         if done(mailbox):
             updates += mailbox[_UPDATES]
+            _take_marks(team[1][n - 1], (cuts[n], cuts[n + 1]), tiles, touched)
         else:
             updates += _update_part((cuts[n], cuts[n + 1]), ends, lines, window, revision, store, constants)
     told[TOOK] = (now(MONOTONIC) - began) / NS if cuts.size > 2 else 0.0
@@ -129,16 +132,32 @@ def _cuts(
     ends: NDArray[np.int64], window: Plain, tiles: tuple[int, int, int, int], team: Plain
 ) -> NDArray[np.int64]:
     """The columns of the window at which parts begin, as many as are worth it, and its width."""
-    mailboxes, _, _, told = team
+    mailboxes, told = team[0], team[-1]
     awake = 0
     for n in range(mailboxes.shape[0]):
         awake += int(state(mailboxes[n]) == EMPTY)
-    work = np.zeros(tiles[1] - tiles[0])
-    left, width = tiles[0] << TILE_BITS, work.size << TILE_BITS
-    work_of_beams(ends, 0, (window[0] + left, window[1], width, window[3]), TILE, work)
-    cuts = left + even_cuts(work, 1 + awake, told[LEAST], 0.0) * TILE
+    left, width = tiles[0] << TILE_BITS, (tiles[1] - tiles[0]) << TILE_BITS
+    work = np.zeros(width // _WIDE)
+    work_of_beams(ends, 0, (window[0] + left, window[1], width, window[3]), _WIDE, work)
+    cuts = left + even_cuts(work, 1 + awake, told[LEAST], 0.0) * _WIDE
     cuts[0], cuts[-1] = 0, window[2]
     return cuts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _take_marks(
+    marks: NDArray[np.int64],
+    part: tuple[int, int],
+    tiles: tuple[int, int, int, int],
+    touched: NDArray[np.int64],
+) -> None:
+    """Write into `touched` what a helper has marked in its part, and clear its marks."""
+    left, right = max(part[0] >> TILE_BITS, tiles[0]), min((part[1] + TILE - 1) >> TILE_BITS, tiles[1])
+    for x in range(left, right):
+        for y in range(tiles[2], tiles[3]):
+            tile = np.uint64(x), np.uint64(y)
+            touched[tile] = max(touched[tile], marks[tile])
+            marks[tile] = 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -151,7 +170,7 @@ def _post(
     team: Plain,
 ) -> None:
     """Post all parts but the first, to whoever is awake."""
-    mailboxes, ends_room, lines_room, _ = team
+    mailboxes, _, ends_room, lines_room, _ = team
     ends_room[: ends.size] = ends.reshape(-1)
     if lines is not None:
         lines_room[: lines.size] = lines.reshape(-1)

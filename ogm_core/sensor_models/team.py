@@ -31,10 +31,11 @@ _ABOUT = 0.75
 class Team:
     """`helpers` threads beside the one that calls; for one store, and scans of up to so many beams.
 
-    Who owns what: a mailbox's state says whose it is, and the cells of the part in it are the same thread's.
-    The beams' room is the caller's, but for those who have TAKEN a part. When a call of `shared_lines` has
-    returned, no mailbox is POSTED, TAKEN or DONE: then all of the map is the caller's. Helpers let go of the
-    store when they fall asleep; this holds none.
+    Who owns what: a mailbox's state says whose it is. With it go the cells of the part in it, and the marks
+    by which a helper says what tiles it has touched. The beams' room is the caller's, but for those who have
+    TAKEN a part. When a call of `shared_lines` has returned, no mailbox is POSTED, TAKEN or DONE, and nothing
+    is marked: then all of the map is the caller's. Helpers let go of the store when they fall asleep; this
+    holds none.
     """
 
     def __init__(self, helpers: int, least: float, store: TileStore, beams: int, *, exact: bool) -> None:
@@ -44,9 +45,10 @@ class Team:
         self._mailboxes[:, STATE] = ASLEEP
         self._told = np.zeros(3)
         self._told[shared_lines.LEAST] = _ABOUT * least / (dda if exact else bresenham).CELL_WORK
+        self._marks = np.zeros((helpers, *store.touched.shape), np.int64)
         self._ends, self._lines = np.empty(5 * beams, np.int64), np.empty(4 * beams if exact else 0)
         self._exact = exact
-        self.arrays: Plain = self._mailboxes, self._ends, self._lines, self._told
+        self.arrays: Plain = self._mailboxes, self._marks, self._ends, self._lines, self._told
         """For `shared_lines.update_cells`."""
 
     def fits(self, store: TileStore, beams: int) -> bool:
@@ -61,7 +63,7 @@ class Team:
         mailbox[STATE] = EMPTY
         cells, column, _ = store.planes[plane]
         lines = self._lines if self._exact else None
-        work = store.touched, cells, column
+        work = self._marks[helper], cells, column
         return partial(_serve, mailbox, (_PATIENCE, self._ends, lines, work, constants))
 
     @property

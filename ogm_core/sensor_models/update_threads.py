@@ -21,6 +21,7 @@ from ogm_core.cells.model import CellModel
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.evidence import Evidence
+from ogm_core.sensor_models.processors import leave, processor
 from ogm_core.sensor_models.strip_work import even_cuts
 from ogm_core.sensor_models.team import Team
 from ogm_core.tiles.parts import StorePart, part_of_window
@@ -73,7 +74,7 @@ class UpdateThreads:
         and how many have not paid in a row."""
         self._updating = threading.Lock()
         self._team: Team | None = None
-        self._inboxes: list[SimpleQueue[_Job | None]] = []
+        self._inboxes: list[SimpleQueue[_Order | None]] = []
         self._threads: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
@@ -111,10 +112,10 @@ class UpdateThreads:
             if team is None or not team.fits(store, beams):
                 team = self._team = Team(self.count - 1, self.worth_a_team / 2.0, store, beams, exact=exact)
             self._start(self.count - 1)
-            for helper, inbox in enumerate(self._inboxes):
+            for helper in range(self.count - 1):
                 job = team.job(helper, store, plane, constants)
                 if job is not None:
-                    inbox.put(job)
+                    self._wake(helper, job)
         return team
 
     def finished(self, team: Team | None, beams: int, work: float) -> None:
@@ -168,8 +169,8 @@ class UpdateThreads:
         try:
             self._start(len(scan.left))
             began = time.perf_counter()
-            for inbox in self._inboxes[: len(scan.left)]:
-                inbox.put(scan.take)
+            for helper in range(len(scan.left)):
+                self._wake(helper, scan.take)
             updates = scan.finish()
             paid = time.perf_counter() - began + _BEFORE < _GAIN * scan.alone
             self._judge(paid=paid)
@@ -189,12 +190,15 @@ class UpdateThreads:
 
     def _start(self, count: int) -> None:
         while len(self._threads) < count:
-            inbox: SimpleQueue[_Job | None] = SimpleQueue()
+            inbox: SimpleQueue[_Order | None] = SimpleQueue()
             name = f"ogm-update-{len(self._threads) + 1}"
             thread = threading.Thread(target=_work, args=(inbox,), name=name, daemon=True)
             thread.start()
             self._inboxes.append(inbox)
             self._threads.append(thread)
+
+    def _wake(self, helper: int, job: "_Job") -> None:
+        self._inboxes[helper].put((job, processor()))
 
     def _end(self) -> None:
         for inbox in self._inboxes:
@@ -205,6 +209,8 @@ class UpdateThreads:
 
 
 _Job = Callable[[], object]
+_Order = tuple[_Job, int]
+"""What a thread has to call, and the processor of who says so, which is to be left to it."""
 _Part = tuple[int, int]
 """Its first column, and the one after its last."""
 
@@ -283,8 +289,10 @@ class _Scan:
         return self._model.update(self._evidence, store, window, self._revision)
 
 
-def _work(inbox: "SimpleQueue[_Job | None]") -> None:
+def _work(inbox: "SimpleQueue[_Order | None]") -> None:
     """A thread's life: it does what it is told, up to None."""
-    while (job := inbox.get()) is not None:
+    while (order := inbox.get()) is not None:
+        job, taken = order
+        leave(taken)
         job()
-        del job  # it has the store's memory
+        del order, job  # they have the store's memory

@@ -86,6 +86,7 @@ def test_the_map_is_that_of_one_thread(kind, count):
         for placed in scans(60):
             assert many.integrate(*placed) == one.integrate(*placed)
             shared += many.threads._team is not None and many.threads._team.times is not None
+            assert many.threads._team is None or not many.threads._team._marks.any()
     assert contents(many) == contents(one)
     assert shared > 30
     assert not update_threads_alive()
