@@ -4,6 +4,7 @@ import pytest
 
 from ogm_core.errors import BadInput, BadSetting
 from ogm_core.lattice import Clip
+from ogm_services.mapper.gateway.gateway_service import run_gateway
 from ogm_services.mapper.service import MapperService, run_mapper
 from ogm_services.settings.settings import Settings
 from ogm_services.settings.sources import load_settings
@@ -53,6 +54,25 @@ def test_a_share_keeps_its_rectangle_and_only_a_mapper_has_one():
 def test_what_a_share_cannot_be_is_refused_by_name(given, said):
     with pytest.raises(BadSetting, match=said):
         settings(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"cuts_x": (0.1,)}, r"^shares.cuts_x: 0.1 m is no edge of tiles .* nearest are 0 and 6.4$"),
+        ({"map": {"resolution": 0.1}}, r"^map.reach: a map that is cut .* needs one.* give --reach$"),
+        ({"map": MAP | {"bounds": [0, 0, 6.4, 6.4]}}, r"^shares.cuts_x: 0 m lies outside map.bounds"),
+        ({"mapper": {"start_map": __file__}}, r"^mapper.start_map: a map that is cut begins empty"),
+        (
+            {"map": MAP | {"cell_model": "rate"}, "mapper": {"separate_robots": True}},
+            r"^mapper.separate_robots: a map that is cut does not keep",
+        ),
+    ],
+)
+def test_a_gateway_refuses_before_it_connects_what_a_share_cannot_be(given, said):
+    alone = settings(index=None, network={"connect": ["tcp/127.0.0.1:1"]}, **given)
+    with pytest.raises(BadSetting, match=said):
+        run_gateway(alone)
 
 
 def test_a_mapper_of_a_map_that_is_cut_says_which_share_it_keeps():

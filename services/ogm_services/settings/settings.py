@@ -36,6 +36,7 @@ from ogm_core.lattice import MAX_RESOLUTION, MIN_RESOLUTION
 from ogm_core.placing.robot_rules import RobotRule
 from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.sensor_rules import SensorRule
+from ogm_core.shares import Share
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
 from ogm_services.settings.http import SECRETS, HttpSettings
 from ogm_services.settings.robots import RobotSettings
@@ -219,23 +220,22 @@ class Settings(BaseModel):
             raise BadSetting(
                 "map.bounds: a map that starts with mapper.start_map has no bounds; leave out one of the two"
             )
-        self._check_shares()
+        if self.shares.index is not None:
+            self.check_cut()
         return self
 
-    def _check_shares(self) -> None:
-        cuts = self.shares.cuts
-        if self.shares.index is None:
-            return
-        self.shares.of_mapper()
+    def check_cut(self) -> None:
+        """Refuse, with BadSetting, what a map that is cut into shares cannot have, whoever serves it."""
+        share = Share(self.shares.cuts, self.shares.index or 0)
         if self.mapper.start_map is not None:
             raise BadSetting("mapper.start_map: a map that is cut begins empty: leave it out")
-        cuts.check(self.grid_settings().lattice, self.map.bounds)
-        if cuts.count > 1 and self.map.reach is None:
+        share.cuts.check(self.grid_settings().lattice, self.map.bounds)
+        if share.cuts.count > 1 and self.map.reach is None:
             raise BadSetting(
                 "map.reach: a map that is cut (shares.cuts_x, shares.cuts_y) needs one, so that it is known "
                 "how far scans reach into other shares: give --reach"
             )
-        self.mapper_grid_settings()
+        replace(self.grid_settings(), share=share)
 
     def grid_settings(self) -> GridSettings:
         """What the map is made of."""

@@ -55,7 +55,7 @@ def run_gateway(settings: Settings) -> None:
 
     A gateway that does not stop within STOP_TIME, while it starts or later, ends the process, with code 1.
     """
-    settings.shares.cuts.check(settings.grid_settings().lattice, settings.map.bounds)
+    settings.check_cut()
     sys.setswitchinterval(SWITCH_INTERVAL)
     manager = ServiceManager()
     changed = ", ".join(differences(settings)) or "its default settings"
