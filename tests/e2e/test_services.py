@@ -32,7 +32,7 @@ def source(mapper):
 def test_by_hand(ogm, mapper, eventually):
     ended = simulator(ogm, mapper, "--scans", 20, "--robots", 2).wait()
     assert (ended.code, ended.err) == (0, "")
-    assert ended.out == "robot1, robot2 in lab: 20 scans a second each\n"
+    assert ended.out == "robot1, robot2 in lab: 20 scans a second each, at up to 3.43 m/s\n"
     eventually(lambda: mapper.status()["revision"] == 40)
     asked = [
         ask("status", "--json", "--url", url)
@@ -204,7 +204,7 @@ def test_a_robot_that_is_alive_keeps_its_name(ogm, mapper, eventually):
     assert "'robot1' is publishing to map 'default' already" in second.complaint(1)
     assert "--robot-prefix" in second.err
     other = simulator(ogm, mapper, "--robot-prefix", "cart", "--scans", 2).wait()
-    assert (other.code, other.out) == (0, "cart1 in lab: 20 scans a second each\n")
+    assert (other.code, other.out) == (0, "cart1 in lab: 20 scans a second each, at up to 3.43 m/s\n")
     first.kill()  # as a crash would: whose robots are gone at once
     eventually(lambda: ogm.run("simulate", "--connect", mapper.endpoint, "--scans", 1).code == 0)
 

@@ -51,3 +51,17 @@ def test_the_true_world_has_no_robots_in_it(simulated):
     seeing = simulated(0.4)
     seeing.step(0, 0)
     assert seeing.world.circles.size == 0
+
+
+@pytest.mark.parametrize(("rate", "warned"), [(5.0, False), (20.0, False), (30.0, True)])
+def test_a_speed_that_no_mapper_believes_is_warned_of(simulated, caplog, rate, warned):
+    """Its poses are 1 m apart, and it turns back in steps of pi / 16."""
+    assert simulated(None).fastest(rate) == pytest.approx(rate)
+    said = f"{rate:g} m/s and turn up to {rate * math.pi / 16:.3g} rad/s, more than a mapper believes"
+    assert [said in record.getMessage() for record in caplog.records] == [True] * warned
+
+
+def test_so_is_a_turn_that_is_too_fast(caplog):
+    office = Simulation(SimulatorOptions("office"))
+    assert office.fastest(200.0) == pytest.approx(20.0)
+    assert "turn up to 39.3 rad/s" in caplog.text

@@ -1,6 +1,7 @@
 """`ogm simulate`: robots that drive through a simulated world, live or into a recording."""
 
 import logging
+import math
 import threading
 import time
 import uuid
@@ -18,10 +19,11 @@ from ogm_client.robot import RobotPublisher
 from ogm_client.session import open_session
 from ogm_core.errors import BadRecording, DiskFull, OgmError
 from ogm_core.logs.recordings import JSON_SUFFIXES, Recorded, RecordedPose, RecordedScan, write_jsonl
+from ogm_core.placing.rules import DEFAULT_RULES
 from ogm_core.simulation.catalogue import world_named
 from ogm_core.simulation.lidar import Lidar, measure
 from ogm_core.simulation.worlds import World, dump_world
-from ogm_core.types import Pose, PoseStamped, Ranges, Scan
+from ogm_core.types import Pose, PoseStamped, Ranges, Scan, shorter_arc
 from ogm_core.wire.keys import MAX_TRUTH_BYTES, MapKeys
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.replies.answer import Answer, Parameters, refuse_parameters
@@ -82,6 +84,24 @@ class Simulation:
         circles = [(*self._pose(other, step)[:2], self._radius) for other in others]
         return replace(self.world, circles=np.concatenate((self.world.circles, circles)))
 
+    def fastest(self, rate: float) -> float:
+        """The highest speed of a robot that is at another pose `rate` times a second, m/s.
+
+        Warns if a mapper, as it is set by default, would not believe that one robot gets so far, or turns so.
+        """
+        path, period = self.world.path, round(1e9 / rate)
+        legs = [(path.pose(step), path.pose(step + 1)) for step in range(path.count)]
+        speed = rate * max(math.dist(start[:2], end[:2]) for start, end in legs)
+        turning = rate * max(abs(shorter_arc(start.theta, end.theta)) for start, end in legs)
+        if not all(DEFAULT_RULES.reachable(period, start, end) for start, end in legs):
+            log.warning(
+                "at %g scans a second these robots drive up to %.3g m/s and turn up to %.3g rad/s, more than "
+                "a mapper believes (mapper.max_speed %g, mapper.max_turn_rate %g unless set): "
+                "give a lower --rate",
+                *(rate, speed, turning, DEFAULT_RULES.max_speed, DEFAULT_RULES.max_turn_rate),
+            )
+        return speed
+
     def messages(self, step: int, stamp: int, run: str) -> Iterator[Recorded]:
         """Every robot's pose and scan of a step; scans take longer, and come after all poses."""
         measured = [self.step(number, step) for number in range(len(self.robots))]
@@ -113,6 +133,7 @@ def record(options: SimulatorOptions, out: Path) -> None:
         BadWorld, BadSetting: there is no such world, or no such LiDAR.
     """
     simulation = Simulation(options)
+    simulation.fastest(options.rate)
     run = "simulated" if options.seed is None else f"seed-{options.seed}"
     period = 1e9 / options.rate
 
@@ -166,7 +187,10 @@ def run_simulator(network: NetworkSettings, options: SimulatorOptions) -> None:
         queryables.declare(keys.truth, truth, turns)
         _wait_for_mapper(robots[simulation.robots[0]])
         opening.enter_context(_told_if_unheard(list(robots.values())))
-        typer.echo(f"{', '.join(robots)} in {options.world}: {options.rate:g} scans a second each")
+        named, speed = ", ".join(robots), simulation.fastest(options.rate)
+        typer.echo(
+            f"{named} in {options.world}: {options.rate:g} scans a second each, at up to {speed:.3g} m/s"
+        )
         for step, stamp in _ticks(options):
             for message in simulation.messages(step, stamp, run):
                 if isinstance(message, RecordedScan):
