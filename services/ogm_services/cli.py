@@ -27,6 +27,7 @@ from ogm_services.commands.record_flags import record
 from ogm_services.commands.replay_flags import replay
 from ogm_services.commands.ros2_flags import ros2
 from ogm_services.commands.simulator_flags import simulate
+from ogm_services.results.written import out_path
 from ogm_services.runtime.endings import INTERRUPTED, OneLineErrors
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
@@ -94,7 +95,11 @@ def get(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE", help="File to write; - for stdout (default: NAME, here)."
+            "--out",
+            "-o",
+            parser=out_path,
+            metavar="FILE",
+            help="File to write; - for stdout (default: NAME, here).",
         ),
     ] = None,
     at: Annotated[
@@ -187,7 +192,8 @@ def info(
 def repair(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a stored map.")],
     out: Annotated[
-        Path, typer.Option(metavar="NEW", help="Folder for a new store; it is made, or is empty.")
+        Path,
+        typer.Option(parser=out_path, metavar="NEW", help="Folder for a new store; it is made, or is empty."),
     ],
 ) -> None:
     """Save what is intact of a damaged stored map into a new store, and tell what is not."""

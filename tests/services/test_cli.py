@@ -286,6 +286,34 @@ def test_bad_usage_is_one_line_and_exit_code_2(ogm, args, text):
     assert text in one_line(ogm(*args.split()), 2)
 
 
+@pytest.mark.parametrize(
+    ("args", "flag"),
+    [
+        ("build x.log --out", "--out"),
+        ("build x.log --out d --figure", "--figure"),
+        ("demo --out", "--out"),
+        ("mapper --out", "--out"),
+        ("simulate --scans 1 --out", "--out"),
+        ("record -o", "-o"),
+        ("get status -o", "-o"),
+        ("merge a.npz b.npz -o", "-o"),
+        ("compare a.npz b.npz --picture", "--picture"),
+        ("quality x.log --figure", "--figure"),
+        ("foxglove --layout", "--layout"),
+        ("repair d --out", "--out"),
+    ],
+)
+def test_an_empty_path_is_not_the_working_folder(ogm, tmp_path, monkeypatch, args, flag):
+    monkeypatch.chdir(tmp_path)
+    said = one_line(ogm(*args.split(), ""), 2)
+    assert f"{flag}': a path is needed, got ''" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nor_is_an_empty_folder_of_a_stored_map(ogm):
+    assert "mapper.data: a path is needed, got '' (--data)" in one_line(ogm("mapper", "--data", ""), 2)
+
+
 def test_without_a_command_it_shows_its_help(ogm):
     result = ogm()
     assert result.exit_code == 2

@@ -10,6 +10,7 @@ from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_flags import LogFlags, Logs
 from ogm_services.commands.topic_flags import TopicFlags
+from ogm_services.results.written import out_path
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
@@ -26,7 +27,11 @@ def build(
     logs: Logs,
     out: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here."),
+        typer.Option(
+            parser=out_path,
+            metavar="DIR",
+            help="Write map.png, map.pgm, map.yaml, map.npz, quality.json here.",
+        ),
     ],
     map_flags: MapFlags,
     log_flags: LogFlags,
@@ -50,7 +55,11 @@ def build(
     ] = None,
     figure: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib."),
+        typer.Option(
+            parser=out_path,
+            metavar="FILE",
+            help="Draw the map with axes: .png, .pdf or .svg; needs matplotlib.",
+        ),
     ] = None,
     workers: Annotated[
         int, typer.Option(min=1, max=512, metavar="N", help="Work in so many processes; the map is the same.")

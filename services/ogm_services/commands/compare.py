@@ -12,7 +12,7 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_core.whole_files import check_file, write_files
-from ogm_services.results.written import written
+from ogm_services.results.written import out_path, written
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.signals import running_service
@@ -31,7 +31,8 @@ def compare(
     ],
     second: Annotated[Path, typer.Argument(metavar="MAP", help="Another one, of the same lattice.")],
     picture: Annotated[
-        Path | None, typer.Option(_PICTURE, metavar="FILE.png", help="Draw where they differ.")
+        Path | None,
+        typer.Option(_PICTURE, parser=out_path, metavar="FILE.png", help="Draw where they differ."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:

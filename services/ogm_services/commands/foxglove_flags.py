@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from ogm_services.results.written import out_path
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
 from ogm_services.settings.flag_groups import with_flag_groups
@@ -30,6 +31,7 @@ def foxglove(
     layout: Annotated[
         Path | None,
         typer.Option(
+            parser=out_path,
             metavar="FILE.json",
             help="Write a layout for viewers, of map, robots and scans there are now, and do nothing else.",
         ),

@@ -8,6 +8,7 @@ import typer
 
 from ogm_core.errors import BadInput
 from ogm_services.commands.world_flags import Start, World, point
+from ogm_services.results.written import out_path
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
@@ -27,7 +28,9 @@ from ogm_services.settings.robot_flags import RadiusFlags, SensorFlags, check_ra
 MapperOut = Annotated[
     Path | None,
     typer.Option(
-        metavar="DIR", help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here."
+        parser=out_path,
+        metavar="DIR",
+        help="At the end write map.png, map.pgm, map.yaml, map.npz, quality.json here.",
     ),
 ]
 

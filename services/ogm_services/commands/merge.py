@@ -11,7 +11,7 @@ import typer
 
 from ogm_core.errors import BadInput, LimitReached
 from ogm_core.whole_files import check_file, write_files
-from ogm_services.results.written import written
+from ogm_services.results.written import out_path, written
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
@@ -26,7 +26,9 @@ def merge(
         list[Path],
         typer.Argument(metavar="MAP.npz...", help="Two or more, of cell model rate and of one lattice."),
     ],
-    out: Annotated[Path, typer.Option(_OUT, "-o", metavar="FILE.npz", help="Write their sum here.")],
+    out: Annotated[
+        Path, typer.Option(_OUT, "-o", parser=out_path, metavar="FILE.npz", help="Write their sum here.")
+    ],
 ) -> None:
     """Merge saved maps of counts into the map of all of their scans, count for count."""
     _check(maps, out)

@@ -10,6 +10,7 @@ from ogm_services.commands.bag_flags import BagFlags
 from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_flags import LogFlags, Logs
 from ogm_services.commands.topic_flags import TopicFlags
+from ogm_services.results.written import out_path
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
@@ -56,6 +57,7 @@ def quality(
         Path | None,
         typer.Option(
             "--figure",
+            parser=out_path,
             metavar="FILE",
             help="Draw how reliable the probabilities are: .png, .pdf or .svg; needs matplotlib.",
         ),

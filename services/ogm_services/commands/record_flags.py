@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ogm_core.errors import BadInput
+from ogm_services.results.written import out_path
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.log_lines import log_nothing
@@ -23,7 +24,7 @@ def record(
     print_config: PrintConfig = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE.mcap", help="A new file to record into."),
+        typer.Option("--out", "-o", parser=out_path, metavar="FILE.mcap", help="A new file to record into."),
     ] = None,
     repair: Annotated[
         Path | None,

@@ -9,6 +9,7 @@ import typer
 from ogm_core.errors import BadInput
 from ogm_services.commands.simulator_options import SimulatorOptions
 from ogm_services.commands.world_flags import Start, World, point
+from ogm_services.results.written import out_path
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.loading import loading
 from ogm_services.runtime.logged_service import logged_service
@@ -55,7 +56,9 @@ def simulate(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.jsonl", help="Record into this file (.jsonl, .jsonl.gz, .mcap), without network."
+            parser=out_path,
+            metavar="FILE.jsonl",
+            help="Record into this file (.jsonl, .jsonl.gz, .mcap), without network.",
         ),
     ] = None,
     connect_timeout: Annotated[

@@ -1,11 +1,24 @@
-"""What keeps a command from writing a file, told in one line."""
+"""Files that commands write: where to, and what keeps from it, told in one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import typer
+
 from ogm_core.errors import BadInput, DiskFull
 from ogm_core.whole_files import NO_ROOM
+
+
+def out_path(text: str) -> Path:
+    """The path that a flag says to write to.
+
+    Raises:
+        BadParameter: it is empty, as of a variable that is not set: `Path` takes that for the working folder.
+    """
+    if not text:
+        raise typer.BadParameter("a path is needed, got ''")
+    return Path(text)
 
 
 @contextmanager

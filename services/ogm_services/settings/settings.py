@@ -51,6 +51,7 @@ from ogm_services.settings.values import (
     Count,
     Endpoints,
     Finite,
+    Folder,
     FreeBelow,
     LogFormat,
     LogLevel,
@@ -166,7 +167,7 @@ class MapperSettings(Section):
     queue: Count = 4096
     threads: Threads = 1
     separate_robots: bool = False
-    data: Annotated[Path | None, NONE] = None
+    data: Annotated[Folder | None, NONE] = None
     start_map: Annotated[FilePath | None, NONE] = None
     start_confidence: Annotated[Finite, Field(gt=0.5, lt=1.0)] = 0.9
 

@@ -5,6 +5,7 @@ import ipaddress
 import math
 import re
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, SecretStr
@@ -83,6 +84,17 @@ def no_switch(value: object) -> object:
     """
     if isinstance(value, bool):
         raise ValueError("a number is needed")  # noqa: TRY004 (pydantic collects ValueErrors only)
+    return value
+
+
+def _named(value: object) -> object:
+    """The path of a folder as it is given.
+
+    Raises:
+        ValueError: it is empty, which pydantic would take for the working folder.
+    """
+    if value == "":
+        raise ValueError("a path is needed")
     return value
 
 
@@ -237,6 +249,7 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 WholeNumber = Annotated[int, BeforeValidator(_whole_from_text)]
 Count = Annotated[WholeNumber, Field(ge=1)]
 Threads = Annotated[int | Literal["auto"], BeforeValidator(_threads)]
+Folder = Annotated[Path, BeforeValidator(_named)]
 Bounds = Annotated[Region, BeforeValidator(parse_region)]
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
 HostNames = Annotated[
