@@ -88,6 +88,12 @@ def test_who_begins_to_follow_is_refused_while_a_gateway_has_never_heard_of_a_sh
     eventually(lambda: http.get("/map.tiles").status_code == 200)
 
 
+def shares_up(http):
+    """What /metrics say of each share of a gateway."""
+    lines = http.get("/metrics").text.splitlines()
+    return [float(line.split()[-1]) for line in lines if line.startswith("ogm_share_up{")]
+
+
 def test_no_share_at_all_is_not_ready(endpoint):
     fleet = Fleet(endpoint, shares=())
     try:
@@ -180,6 +186,11 @@ def test_a_share_of_other_settings_is_missing_and_the_gateway_says_why(fleet, ca
     assert "[3.2]" in why
     assert any("cuts_x" in record.getMessage() for record in caplog.records)
     assert "cuts_x" in http.get("/status").json()["shares"][0]["detail"]
+    assert shares_up(http) == [0.0, 0.0, 0.0, 0.0], "they answer, and are not taken"
+    _, fitting = fleet.gateway()
+    fleet.shares[3].close()
+    assert fitting.get("/map.npz").headers["OGM-Missing"].startswith("3;")
+    assert shares_up(fitting) == [1.0, 1.0, 1.0, 0.0]
 
 
 def test_of_two_processes_of_a_share_the_one_that_was_heard_of_last_counts(fleet, eventually):

@@ -126,7 +126,10 @@ class GatewayParts:
     def _share_metrics(self) -> Iterator[Metric]:
         missing = {each.share for each in self.gathering.newest.missing}
         up = {str(share): float(share not in missing) for share in range(self.gathered.layout.count)}
-        yield gauges("ogm_share_up", "Whether a share of the map answers.", "share", up)
+        text = (
+            "Whether a share answers, and its part of the map is taken; /status says why not, if it answers."
+        )
+        yield gauges("ogm_share_up", text, "share", up)
 
 
 def _lives(session: zenoh.Session, keys: MapKeys, run: str) -> bool:
