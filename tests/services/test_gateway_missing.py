@@ -187,10 +187,14 @@ def test_a_share_of_other_settings_is_missing_and_the_gateway_says_why(fleet, ca
     assert any("cuts_x" in record.getMessage() for record in caplog.records)
     assert "cuts_x" in http.get("/status").json()["shares"][0]["detail"]
     assert shares_up(http) == [0.0, 0.0, 0.0, 0.0], "they answer, and are not taken"
+    fleet.shares[0].close()
+    silent, refused, *_ = http.get("/status").json()["shares"]
+    assert (silent["state"], silent["detail"], refused["state"]) == ("missing", None, "missing")
+    assert "cuts_x" in refused["detail"]
     _, fitting = fleet.gateway()
     fleet.shares[3].close()
-    assert fitting.get("/map.npz").headers["OGM-Missing"].startswith("3;")
-    assert shares_up(fitting) == [1.0, 1.0, 1.0, 0.0]
+    assert fitting.get("/map.npz").headers["OGM-Missing"].startswith("0;")
+    assert shares_up(fitting) == [0.0, 1.0, 1.0, 0.0]
 
 
 def test_of_two_processes_of_a_share_the_one_that_was_heard_of_last_counts(fleet, eventually):

@@ -166,6 +166,9 @@ class Gathering:
             heard = self._take_newest(share, answers)
             answered = any(not answer.refused for answer in answers)
             too_large = answered and share in self._gathered.state.not_held
+            if not answers and share not in self._gathered.state.not_held:
+                with self._turns:
+                    self._refused.pop(share, None)  # what it told once is not why it is missing now
             self._note(share, heard=heard, too_large=too_large)
             self._end_turns([share])
 
