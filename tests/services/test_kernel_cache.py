@@ -213,6 +213,12 @@ def test_commands_without_kernels_need_no_folder(ogm):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_to_run_no_program_is_bad_usage(capsys):
+    assert kernel_cache.main([]) == 2
+    said = "ogm: a command is needed: python -m ogm_services.runtime.kernel_cache COMMAND ...\n"
+    assert capsys.readouterr() == ("", said)
+
+
 def test_nothing_can_be_written_at_all(ogm):
     done = ended(ogm("build log.jsonl --out map", NO_FILE_CAN_GROW))
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)

@@ -178,6 +178,11 @@ def _fault(folder: Path) -> OSError | None:
 
 def main(command: list[str]) -> int:
     """Run a command, and return its exit code."""
+    if not command:
+        typer.echo(
+            "ogm: a command is needed: python -m ogm_services.runtime.kernel_cache COMMAND ...", err=True
+        )
+        return 2
     try:
         with kernel_cache():
             return subprocess.run(command, check=False).returncode
