@@ -377,6 +377,16 @@ def test_simulated_robots_have_names_of_their_own(ogm, stub):
     assert (options.connect_timeout, options.robot_radius) == (3.0, 0.3)
 
 
+@pytest.mark.parametrize(("workers", "warned"), [(1, False), (2, False), (3, True)])
+def test_more_workers_than_cores_are_warned_of(ogm, stub, monkeypatch, workers, warned):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {4, 6})
+    run = stub("ogm_services.commands.build", "run_build")
+    said = ogm("build", "a.jsonl", "--out", "maps", "--workers", workers)
+    assert (said.exit_code, run.args[0].workers) == (0, workers)
+    line = "ogm: --workers 3: more than this process has cores (2) take longer, and more memory\n"
+    assert said.stderr == line * warned
+
+
 def test_shells_complete_commands_and_flags(ogm):
     program = [sys.executable, "-m", "ogm_services"]
     for words, found in {"ogm si": ["simulate"], "ogm replay --sp": ["--speed"]}.items():

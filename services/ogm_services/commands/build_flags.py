@@ -11,10 +11,11 @@ from ogm_services.commands.held_scans import HeldScans
 from ogm_services.commands.log_flags import LogFlags, Logs
 from ogm_services.commands.topic_flags import TopicFlags
 from ogm_services.results.written import out_path
+from ogm_services.runtime.cores import usable_cores
 from ogm_services.runtime.endings import INTERRUPTED
 from ogm_services.runtime.kernel_cache import kernel_cache
 from ogm_services.runtime.loading import loading
-from ogm_services.runtime.log_lines import log_nothing
+from ogm_services.runtime.log_lines import log_nothing, tell
 from ogm_services.runtime.signals import running_service
 from ogm_services.settings.flag_groups import with_flag_groups
 from ogm_services.settings.flags import ConfigFile, MapFlags, PrintConfig, settings_from
@@ -84,6 +85,8 @@ def build(
     robots = log_flags.robots
     groups = map_flags, thread_flags
     settings = settings_from(config, *groups, sensors=sensor, robots=robots, print_config=print_config)
+    if workers > (cores := usable_cores()):
+        tell(f"--workers {workers}: more than this process has cores ({cores}) take longer, and more memory")
     with log_nothing(), running_service(interrupted=INTERRUPTED), kernel_cache():
         with loading():
             from ogm_services.commands.build_request import BuildRequest

@@ -1,6 +1,5 @@
 """Settings of every service: what may be set, and within which limits."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +37,7 @@ from ogm_core.placing.rules import DEFAULT_RULES, PlacingRules
 from ogm_core.placing.sensor_rules import SensorRule
 from ogm_core.shares import Share
 from ogm_core.wire.keys import DEFAULT_ADDRESS, check_name
+from ogm_services.runtime.cores import usable_cores
 from ogm_services.settings.http import SECRETS, HttpSettings
 from ogm_services.settings.robots import RobotSettings
 from ogm_services.settings.section import Section
@@ -179,8 +179,7 @@ class MapperSettings(Section):
         """
         if isinstance(self.threads, int):
             return self.threads
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return max(1, cores - 1)
+        return max(1, usable_cores() - 1)
 
 
 class LogSettings(Section):
