@@ -1,5 +1,6 @@
 """What README.md and the pages beside it say in tables, flags, links and make targets is what there is."""
 
+import ast
 import importlib
 import json
 import os
@@ -272,6 +273,29 @@ def test_the_rooms_are_those_of_the_import_contracts():
             assert about, room
         there = [{room for room in re.split(r"\s*[|:]\s*", layer) if "(" not in room} for layer in expected]
         assert floors == there
+
+
+def test_the_locks_of_a_mapper_are_those_of_the_table():
+    documented = {
+        (name, lock)
+        for locks, where, held in _table("docs/architecture.md", "lock | in | held while")
+        for name in _quoted(where)
+        for lock in _quoted(locks)
+        if held
+    }
+    rooms = ["ogm_core", *(f"services/ogm_services/{room}" for room in ("mapper", "replies", "runtime"))]
+    paths = [path for room in rooms for path in (ROOT / room).rglob("*.py")]
+    found = {key for path in paths for key in _locks(path.read_text(encoding="utf-8"))}
+    assert len(found) >= 30
+    assert documented == found
+
+
+def _locks(text):
+    """Classes that others may name and their locks, `(class, attribute)`."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            made = re.findall(r"self\.(\w+) = threading\.(?:R?Lock|Condition)\(", ast.unparse(node))
+            yield from ((node.name, lock) for lock in made)
 
 
 def test_make_targets_do_what_is_said():
