@@ -163,28 +163,28 @@ class HttpTransport:
                 extensions={DEADLINE: deadline},
             ) as response:
                 answer = _Answer(response.status_code, response.headers, self._content(name, response))
-        except (httpcore.ConnectError, httpcore.ConnectTimeout) as error:
-            raise CannotConnect(
-                f"cannot connect to {self._url} ({error}): is `ogm mapper` running there?"
-            ) from error
-        except httpcore.TimeoutException as error:
-            raise NobodyAnswered(
-                f"{self._url} did not answer /{name} within {self._limits.timeout:g} s: "
-                "is a mapper running there?"
-            ) from error
         except httpx.InvalidURL as error:
             raise BadParameter(f"{name}: cannot be asked: {error}") from error
-        except (httpcore.NetworkError, httpcore.ProtocolError) as error:
-            if isinstance(error, httpcore.NetworkError) or _BROKEN_OFF in str(error):
-                raise NobodyAnswered(
-                    f"{self._url} broke off before /{name} was there ({printable(str(error))}): "
-                    "does the mapper restart?"
-                ) from error
-            raise BadReply(
-                f"{self._url}: no HTTP answer to /{name} ({printable(str(error))}): is it a mapper's?"
-            ) from error
+        except (httpcore.TimeoutException, httpcore.NetworkError, httpcore.ProtocolError) as error:
+            raise self._failed(name, error) from error
         self._checked = checked
         return answer
+
+    def _failed(self, name: str, error: Exception) -> ClientError:
+        """What has kept an answer from coming, told as a client's error."""
+        if isinstance(error, (httpcore.ConnectError, httpcore.ConnectTimeout)):
+            return CannotConnect(f"cannot connect to {self._url} ({error}): is `ogm mapper` running there?")
+        if isinstance(error, httpcore.TimeoutException):
+            return NobodyAnswered(
+                f"{self._url} did not answer /{name} within {self._limits.timeout:g} s: "
+                "is a mapper running there?"
+            )
+        text = printable(str(error))
+        if isinstance(error, httpcore.NetworkError) or _BROKEN_OFF in str(error):
+            return NobodyAnswered(
+                f"{self._url} broke off before /{name} was there ({text}): does the mapper restart?"
+            )
+        return BadReply(f"{self._url}: no HTTP answer to /{name} ({text}): is it a mapper's?")
 
     def _content(self, name: str, response: httpx.Response) -> bytes:
         """The body of a mapper's answer; its refusal, or something else, is raised."""

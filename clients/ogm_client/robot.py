@@ -88,10 +88,7 @@ class RobotPublisher:
             CannotConnect: the address's host is unknown, or nothing takes connections there in time.
             ClientError: the open session is closed.
         """
-        if not connect_timeout >= 0.0:
-            raise BadSetting(f"connect_timeout: 0 s or more are needed, got {connect_timeout}")
-        if type(cache_samples) is not int or not 0 <= cache_samples <= MAX_CACHE_SAMPLES:
-            raise BadSetting(f"cache_samples: 0 to {MAX_CACHE_SAMPLES} are needed, got {cache_samples!r}")
+        _check(connect_timeout, cache_samples)
         if session is not None and zenoh_config is not None:
             raise BadSetting("zenoh_config: an open session has a configuration already; give one of the two")
         self.robot = check_name(robot, "robot")
@@ -286,3 +283,10 @@ class RobotPublisher:
                     text = f"stamp: {stamp} looks like {unit} since 1970; ns are needed"
                     warnings.warn(text, stacklevel=3)
         return stamp
+
+
+def _check(connect_timeout: float, cache_samples: int) -> None:
+    if not connect_timeout >= 0.0:
+        raise BadSetting(f"connect_timeout: 0 s or more are needed, got {connect_timeout}")
+    if type(cache_samples) is not int or not 0 <= cache_samples <= MAX_CACHE_SAMPLES:
+        raise BadSetting(f"cache_samples: 0 to {MAX_CACHE_SAMPLES} are needed, got {cache_samples!r}")

@@ -78,20 +78,7 @@ def log_reader(
     """
     recording = holds_recording(log)
     if is_bag(log) and not recording:
-        if read_as.odometry:
-            raise BadRecording(
-                f"{log}: --odometry is for CARMEN logs; --fixed-frame odom takes a bag's odometry"
-            )
-        # Here, because it loads what talks to ROS and to Zenoh, which takes a tenth of a second.
-        from ogm_services.ros2.bag_reader import BagOptions, BagReader
-
-        return lambda: BagReader(
-            log,
-            read_as.bag or BagOptions(),
-            settings,
-            range_max=read_as.range_max,
-            robot=read_as.robot,
-        )
+        return _bag_reader(log, read_as, settings)
     if read_as.bag is not None:
         raise BadRecording(
             f"{log}: --scan-topic, --cloud-topic, --pose-topic, --mount, --scan-delay and --fixed-frame are "
@@ -112,3 +99,13 @@ def log_reader(
         max_beams=max_beams,
         decimals=decimals,
     )
+
+
+def _bag_reader(log: Path, read_as: ReadAs, settings: Settings) -> Callable[[], LogReader]:
+    if read_as.odometry:
+        raise BadRecording(f"{log}: --odometry is for CARMEN logs; --fixed-frame odom takes a bag's odometry")
+    # Here, because it loads what talks to ROS and to Zenoh, which takes a tenth of a second.
+    from ogm_services.ros2.bag_reader import BagOptions, BagReader
+
+    options = read_as.bag or BagOptions()
+    return lambda: BagReader(log, options, settings, range_max=read_as.range_max, robot=read_as.robot)

@@ -30,6 +30,13 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
 
     `rates`: what happens a second, if that is known.
     """
+    shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
+    parts = _shares(status), _robots(shown), _sources(shown, rates), _wrong(shown)
+    return [_whole(status, rates), *(table for table in parts if table.rows)]
+
+
+def _whole(status: Status, rates: Rates | None) -> Table:
+    """The map as a whole, a row for each thing that is known."""
     scans, info = status.scans, status.map_info
     whole = Table(box=box.SIMPLE, show_header=False, title=f"map {status.map}", title_justify="left")
     whole.add_column(style="bold")
@@ -61,15 +68,7 @@ def status_tables(status: Status, rates: Rates | None = None) -> list[Table]:
     for label, value in rows.items():
         if value != "":
             whole.add_row(label, str(value))
-    shown = {name: robot for name, robot in sorted(status.robots.items()) if not robot.gone}
-    return [
-        whole,
-        *(
-            table
-            for table in (_shares(status), _robots(shown), _sources(shown, rates), _wrong(shown))
-            if table.rows
-        ),
-    ]
+    return whole
 
 
 def _share(share: ShareInfo) -> str:

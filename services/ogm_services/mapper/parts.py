@@ -134,23 +134,10 @@ class Parts:
         """Zenoh's threads put, the worker takes."""
         self.metrics = self._metrics()
         """Any thread."""
-        measured = self.metrics.measurements
-        sink = TimedSink(self.live_map, measured.integration.observe)
         self.newest_scans = NewestScans(lambda: self.live_map.now.epoch)
         """The worker notes them, any thread reads."""
         robot_rules = RobotRules(settings.robot_rules())
-        self.placer = placer = ScanPlacer(
-            *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
-            hints=hints_by(self.live_map.snapshot, grid_settings, lambda: self.live_map.time),
-            integrated=measured.scan_integrated,
-            limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
-            stopping=lambda: queue.closed,
-            robots_limit=limits.robots_bytes,
-            other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
-            placed=self.newest_scans.note,
-            whose=self._whose(),
-            sink_of=sink.of if grid_settings.separate_robots else None,
-        )
+        self.placer = placer = self._placer(settings, robot_rules)
         """The worker's; what it has decided, any thread asks."""
         overloaded = skipping(placer.decided, "overload")
         self.memory.add("queue", lambda: queue.bytes, limits.queue_bytes)
@@ -165,6 +152,23 @@ class Parts:
         """Any thread; None where the order between robots does not matter."""
         self.worker = self._worker(settings, malformed=skipping(placer.decided, "malformed"))
         """A thread, which alone writes the map."""
+
+    def _placer(self, settings: Settings, robot_rules: RobotRules) -> ScanPlacer:
+        """What decides which scans come into the map, and from where they looked."""
+        limits, grid_settings, measured = self.limits, self.grid_settings, self.metrics.measurements
+        sink = TimedSink(self.live_map, measured.integration.observe)
+        return ScanPlacer(
+            *(sink, self.receipts, LimitedLog(log).of_kind, settings.placing_rules()),
+            hints=hints_by(self.live_map.snapshot, grid_settings, lambda: self.live_map.time),
+            integrated=measured.scan_integrated,
+            limits=WaitingLimits(limits.waiting_bytes, limits.waiting_cells, ScanSize(grid_settings).at_most),
+            stopping=lambda: self.queue.closed,
+            robots_limit=limits.robots_bytes,
+            other_robots=OtherRobots(robot_rules, hits_at_robots(grid_settings)),
+            placed=self.newest_scans.note,
+            whose=self._whose(),
+            sink_of=sink.of if grid_settings.separate_robots else None,
+        )
 
     def _whose(self) -> Callable[[PlacedScan], Whose] | None:
         """Which share counts a placed scan; None where there is one mapper alone."""

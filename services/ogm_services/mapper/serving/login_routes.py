@@ -58,14 +58,7 @@ def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> Non
 
     def state(scope: Scope, *, logged_in: bool) -> Response:
         may_write = logged_in or access.problem(scope) is None
-        writes: list[Write] = [
-            name
-            for name in get_args(Write)
-            if (answers.saves or name not in OF_STORES)
-            and (answers.keeps_robots or name != "forget")
-            and (answers.erases or name != "erase")
-        ]
-        told = LoginState(access.token_needed, logged_in, may_write, writes)
+        told = LoginState(access.token_needed, logged_in, may_write, _writes(answers))
         return Response(orjson.dumps(asdict(told)), media_type="application/json")
 
     async def show(request: Request) -> Response:
@@ -96,6 +89,17 @@ def add_login_routes(app: FastAPI, access: WriteAccess, answers: Answers) -> Non
     add_get(app, LOGIN, show, _SHOW)
     app.add_api_route(LOGIN, log_in, methods=["POST"], **_LOG_IN.options())
     app.add_api_route(LOGOUT, log_out, methods=["POST"], **_LOG_OUT.options())
+
+
+def _writes(answers: Answers) -> list[Write]:
+    """What there is to write."""
+    return [
+        name
+        for name in get_args(Write)
+        if (answers.saves or name not in OF_STORES)
+        and (answers.keeps_robots or name != "forget")
+        and (answers.erases or name != "erase")
+    ]
 
 
 def _token_in(body: bytes) -> bytes:
