@@ -17,9 +17,9 @@ from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import MapKeys, Source
 from ogm_core.wire.messages import encode_pose, encode_scan
 from ogm_services.mapper.intake import caches as caches_module
+from ogm_services.mapper.intake import catching_up, robot_caches
 from ogm_services.mapper.intake import held as held_module
 from ogm_services.mapper.intake import hold_and_ask as hold_module
-from ogm_services.mapper.intake import robot_caches
 from ogm_services.mapper.intake.caches import Answer, Caches
 from ogm_services.mapper.intake.held_source import SILENCE
 from ogm_services.mapper.intake.hold_and_ask import HoldAndAsk
@@ -105,7 +105,7 @@ def started(hold):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Pauses are short, and nobody waits for caches that do not answer but three times."""
-    monkeypatch.setattr(hold_module, "PAUSES", (0.02, 0.02))
+    monkeypatch.setattr(catching_up, "PAUSES", (0.02, 0.02))
     monkeypatch.setattr(robot_caches, "SILENT", 0.0)
 
 
@@ -343,7 +343,7 @@ def test_scans_are_not_taken_before_poses_that_a_cache_must_have(
     hold, recorder, cache, asked, eventually, monkeypatch
 ):
     """The cache of the poses comes later: that of its run some were decided tells that there are more."""
-    monkeypatch.setattr(hold_module, "PAUSES", (0.5, 5.0))
+    monkeypatch.setattr(catching_up, "PAUSES", (0.5, 5.0))
     recorder.up_to |= {(None, "a"): 1, ("s", "a"): 1}
     scans = cache()
     for seq in (2, 3):
@@ -399,7 +399,7 @@ def test_what_is_missing_of_a_robot_whose_caches_have_just_gone_is_not_lost(
     eventually(lambda: recorder.seqs() == [0])
     hold.cache_changed(SCANS, "one", False)
     take(hold, scan(4))
-    eventually(lambda: len(asked) > 5 * hold_module.ASKS)
+    eventually(lambda: len(asked) > 5 * catching_up.ASKS)
     assert recorder.gone == []
     publisher = cache()
     for seq in range(5):

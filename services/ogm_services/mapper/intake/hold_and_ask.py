@@ -10,24 +10,18 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
-from functools import partial
 
 from ogm_core.placing.rules import MAX_ROBOTS
 from ogm_core.wire.heads import read_head
 from ogm_core.wire.keys import Source
-from ogm_services.mapper.intake.backlog import Backlog, Unanswered
 from ogm_services.mapper.intake.caches import Caches
+from ogm_services.mapper.intake.catching_up import CatchingUp
 from ogm_services.mapper.intake.handing_on import Decided, Intake
 from ogm_services.mapper.intake.held import Held, HeldBytes
 from ogm_services.mapper.intake.in_step import InStep
 from ogm_services.mapper.intake.robot_caches import SETTLING
 from ogm_services.mapper.intake.robot_hold import RobotHold
 
-ASKS = 3
-"""A gap is asked for so many times; then what is missing is lost."""
-PAUSES = (0.25, 1.0)
-"""Before it is asked for again, s: links and declarations come back one after the other."""
 LOOK_PERIOD = 0.5
 FROZEN = 1.5
 """If there is more than this between two looks, s, the mapper itself stood still: every robot is asked."""
@@ -35,11 +29,6 @@ ASKERS = 16
 """Robots that are asked at a time; and as many of those whose caches did not answer the last time."""
 ASKERS_IN_STEP = 128
 """The same where robots are in step: they wait for each other."""
-SHARE = 0.25
-"""What is being resumed takes this part of the queue, or one message of each robot."""
-PATIENCE = 10.0
-"""What is held waits so long for that, s: a mapper that has more to do than it can will not have room."""
-_PAUSE = 0.005
 
 log = logging.getLogger(__name__)
 
@@ -53,13 +42,8 @@ class HoldAndAsk:
     asked, and what they keep is handed on, merged by stamps, before what is held. What is held is not yet
     received: it may come again from a cache.
 
-    What is missing then is asked for ASKS times in all, and lost after that; or at once if the cache has what
-    comes before and after it, and if there is none. What was handed on is never asked for again. A robot
-    whose caches have gone is waited for, AWAY, before these times are counted; one whose caches are there
-    and do not answer, as on a machine that has far too much to do, SILENT.
-
-    What is resumed, out of a cache or held, waits for room: a part of the queue is for all of it. A cache
-    that is there, or must be, and does not answer is asked again before anything of its robot is handed on.
+    What is missing then is asked for again, and lost after that, as `CatchingUp` says. What was handed on is
+    never asked for again.
 
     Threads: Zenoh's call `take`, which reads the head of a message and mostly hands it on; one looks every
     LOOK_PERIOD; up to ASKERS ask, each for one robot, and as many others ask those that did not answer the
@@ -84,6 +68,7 @@ class HoldAndAsk:
         self._lock = threading.Lock()
         self._bytes = HeldBytes()
         self._stopping = threading.Event()
+        self._catching_up = CatchingUp(caches, intake, in_step, self._stopping)
         askers = ASKERS if in_step is None else ASKERS_IN_STEP
         self._askers = ThreadPoolExecutor(askers, "ogm-ask")
         self._patient_askers = ThreadPoolExecutor(askers, "ogm-ask-again")
@@ -142,7 +127,7 @@ class HoldAndAsk:
         """Note that a message came that was counted already, and whose number nobody has read."""
         robot = self._robots.get(source.robot)
         if robot is not None:
-            robot.unread(source.sensor)
+            robot.sources.unread(source.sensor)
 
     def cache_changed(self, source: Source, cache: str, here: bool) -> None:
         """Note that a source's cache is there, which is asked then, or gone."""
@@ -161,7 +146,7 @@ class HoldAndAsk:
     def look(self, now: float) -> None:
         """Ask robots of which a source has a cache and is silent; `now` of the clock that `take` is told."""
         for robot in list(self._robots.values()):
-            if robot.too_silent(now):
+            if robot.sources.too_silent(now):
                 self._ask(robot)
 
     def _look_on(self) -> None:
@@ -186,7 +171,9 @@ class HoldAndAsk:
             if name not in self._robots and len(self._robots) >= MAX_ROBOTS:
                 # One of them is forgotten where robots are counted, or another would not be admitted.
                 idle = [robot for robot in self._robots.values() if not robot.at_work]
-                self._robots.pop(min(idle or self._robots.values(), key=lambda robot: robot.heard).name)
+                self._robots.pop(
+                    min(idle or self._robots.values(), key=lambda robot: robot.sources.heard).name
+                )
             return self._robots.setdefault(name, RobotHold(name, self._decided, self._intake, self._bytes))
 
     def _ask(self, robot: RobotHold) -> None:
@@ -210,11 +197,11 @@ class HoldAndAsk:
             for _ in range(10):
                 if not robot.caches.is_settling(time.monotonic()) or self._stopping.wait(SETTLING):
                     break
-            self._catch_up(robot, patient)
+            self._catching_up.catch_up(robot, patient=patient)
         except Exception:
             log.exception("what %s has published could not be asked for", robot.name)
             robot.again, robot.fails = False, 0
-            self._drain(robot, time.monotonic())
+            self._catching_up.drain(robot, time.monotonic())
         finally:
             if self._in_step is not None:
                 self._in_step.end(robot.name)
@@ -222,82 +209,3 @@ class HoldAndAsk:
                 robot.at_work = False
             if robot.again or robot.is_held:
                 self._ask(robot)
-
-    def _catch_up(self, robot: RobotHold, patient: bool) -> None:
-        """Ask, and hand on what is held, until nothing is missing and nothing is held.
-
-        One that does not answer is left to the patient askers.
-        """
-        if robot.fails:
-            self._stopping.wait(PAUSES[robot.fails - 1])
-        while not self._stopping.is_set():
-            robot.again, began = False, time.monotonic()
-            progress, whole = self._hand_on_backlog(robot, final=robot.fails == ASKS - 1)
-            if self._stopping.is_set():
-                return
-            if not whole and (progress or robot.fails < ASKS - 1):
-                robot.again = True  # it stays held, whether or not anything has come that is
-            gap, handed_on = self._drain(robot)
-            if self._stopping.is_set():
-                return
-            if not progress and ((gap and not handed_on) or not whole):
-                now = time.monotonic()
-                if robot.caches.may_come_back(now) or robot.caches.may_answer(now):
-                    robot.fails = 0
-                    self._stopping.wait(PAUSES[0])
-                    return  # it stays held, and is asked anew after others
-                robot.fails += 1
-                if robot.fails < ASKS:
-                    if robot.caches.unanswered and not patient:
-                        return
-                    self._stopping.wait(PAUSES[robot.fails - 1])
-                    continue
-                self._drain(robot, began)
-            robot.fails = 0
-            if not robot.is_held:
-                return
-
-    def _hand_on_backlog(self, robot: RobotHold, *, final: bool) -> tuple[bool, bool]:
-        """Hand on what the robot's caches keep; whether anything was new, and whether it is all of it.
-
-        `final`: it is asked no more.
-        """
-        progress, whole, robot.caches.answered = False, True, None
-        try:
-            with closing(Backlog(self._caches, robot.name, robot.wanted)) as backlog:
-                whole = final or not robot.lacks_any(backlog.sources, backlog.runs)
-                for message, follows in backlog.messages() if whole else ():
-                    stamp = None if message.head is None else message.head[0]
-                    turn = partial(self._turn, robot, stamp)
-                    progress |= robot.take_cached(message, time.monotonic(), turn, follows=follows or final)
-                    if self._stopping.is_set():
-                        return progress, False
-                if whole:
-                    robot.caches.answered = {source.sensor for source in backlog.sources}
-            robot.caches.note_answered(True, time.monotonic())
-        except Unanswered:
-            whole = False
-            robot.caches.note_answered(False, time.monotonic())
-        return progress, whole
-
-    def _drain(self, robot: RobotHold, until: float | None = None) -> tuple[bool, bool]:
-        """Hand on what is held; whether a gap has ended it, and whether anything was handed on."""
-        patient = time.monotonic() + PATIENCE
-        return robot.drain(lambda: self._turn(robot, robot.held_stamp, patient), until)
-
-    def _turn(self, robot: RobotHold, stamp: int | None, until: float = math.inf) -> bool:
-        """Wait until a message of that stamp has its turn among other robots', and then as `_room` does."""
-        if self._in_step is not None and stamp is not None:
-            self._in_step.wait(robot.name, stamp, self._stopping)
-        return self._room(robot, until)
-
-    def _room(self, robot: RobotHold, until: float = math.inf) -> bool:
-        """Wait until the queue has room for a message that is resumed; False: the mapper stops.
-
-        After `until`, s, there is room for any: the queue drops what is too much.
-        """
-        while not self._stopping.is_set():
-            if self._intake.has_room(robot.name, SHARE) or time.monotonic() > until:
-                return True
-            self._stopping.wait(_PAUSE)
-        return False

@@ -3,9 +3,8 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Set
+from collections.abc import Callable
 
-from ogm_core.placing.rules import MAX_SENSORS
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.backlog import Unanswered
 from ogm_services.mapper.intake.caches import Cached
@@ -14,6 +13,7 @@ from ogm_services.mapper.intake.held import Held, HeldBytes, HeldMessages
 from ogm_services.mapper.intake.held_source import HeldSource
 from ogm_services.mapper.intake.numbering import Numbering, Standing
 from ogm_services.mapper.intake.robot_caches import RobotCaches
+from ogm_services.mapper.intake.robot_sources import RobotSources
 
 _COUNTED = 10_000
 """So many missing ones are looked at, whether they were decided; more are all missing."""
@@ -40,13 +40,8 @@ class RobotHold:
         self._held = HeldMessages(held_bytes)
         self.is_held = False
         """Whether what comes is kept."""
-        self._sources: dict[str | None, HeldSource] = {}
-        self.caches = RobotCaches(self._sources)
-
-    @property
-    def heard(self) -> float:
-        """When it was heard last, s; 0 if it never was."""
-        return max((known.heard for known in list(self._sources.values())), default=0.0)
+        self.sources = RobotSources(name, decided, self.lock)
+        self.caches = RobotCaches(self.sources.by_sensor)
 
     @property
     def held_stamp(self) -> int | None:
@@ -62,19 +57,9 @@ class RobotHold:
                 self.is_held = True
                 self._decided.wait_on(self.name, math.inf)
 
-    def source(self, sensor: str | None, now: float) -> HeldSource | None:
-        """What is known of a source; None if it is one sensor too many."""
-        known = self._sources.get(sensor)
-        if known is None:
-            with self.lock:
-                if sensor is None or sum(name is not None for name in self._sources) < MAX_SENSORS:
-                    numbering = Numbering(lambda run: self._decided.last(self.name, sensor, run))
-                    known = self._sources.setdefault(sensor, HeldSource(numbering, now))
-        return known
-
     def take_next(self, source: Source, payload: bytes, now: float) -> bool:
         """Hand on a message that comes by itself, if a glance tells that nothing is missing before it."""
-        known = self._sources.get(source.sensor)
+        known = self.sources.by_sensor.get(source.sensor)
         if known is None:
             return False
         with self.lock:
@@ -86,7 +71,7 @@ class RobotHold:
 
     def take(self, item: Held) -> bool:
         """Hand on a message that comes by itself, or hold it; whether the robot is to be asked for it."""
-        known = self.source(item.source.sensor, item.came)
+        known = self.sources.admitted(item.source.sensor, item.came)
         if known is None:
             self._intake.hand_on(item.source, item.payload)  # which refuses it
             return False
@@ -107,15 +92,9 @@ class RobotHold:
                 return
         item.command()
 
-    def unread(self, sensor: str | None) -> None:
-        """Note a message whose number nobody has read."""
-        known = self._sources.get(sensor)
-        if known is not None:
-            known.numbering.unread += 1
-
     def cache_changed(self, sensor: str | None, cache: str, here: bool, now: float) -> bool:
         """Note that a cache is there, or gone; whether the robot is to be asked because of it."""
-        known = self.source(sensor, now)
+        known = self.sources.admitted(sensor, now)
         if known is None:
             return False
         with self.lock:
@@ -123,38 +102,6 @@ class RobotHold:
             if not here and not self.is_held:
                 self._decided.wait_on(self.name, self.caches.back)
         return here
-
-    def too_silent(self, now: float) -> bool:
-        """Whether a source that has a cache is silent for so long that it is to be asked."""
-        silent = False
-        for known in list(self._sources.values()):
-            silent |= known.too_silent(now)
-        return silent
-
-    def wanted(self, source: Source, run: str) -> int | None:
-        """The first seq of a run that was not handed on; None if nothing is known of the run."""
-        known = self._sources.get(source.sensor)
-        last = self._decided.last(*source, run) if known is None else known.numbering.last(run)
-        return None if last is None else last + 1
-
-    def lacks_any(self, sources: Set[Source], runs: Set[str]) -> bool:
-        """Whether a source has not answered that must have something: its cache is there, or a run's was.
-
-        `sources` have answered, with messages of `runs`. Without poses, say, scans would be taken too early.
-        """
-        with self.lock:
-            for sensor, known in {None: None, **self._sources}.items():
-                source = Source(self.name, sensor)
-                if source in sources:
-                    continue
-                if known is None:
-                    lacks = any(run and self._decided.last(*source, run) is not None for run in runs)
-                else:
-                    has_cache = bool(known.caches) and known.numbering.begun
-                    lacks = has_cache or any(map(known.numbering.has, runs))
-                if lacks:
-                    return True
-        return False
 
     def take_cached(self, message: Cached, now: float, room: Callable[[], bool], *, follows: bool) -> bool:
         """Hand on a message out of a cache, unless that was done; whether it was new.
@@ -169,7 +116,7 @@ class RobotHold:
         Raises:
             Unanswered: something is missing before it that the cache may have.
         """
-        source, known = message.source, self.source(message.source.sensor, now)
+        source, known = message.source, self.sources.admitted(message.source.sensor, now)
         if known is None:
             return False
         if message.head is None:
@@ -223,7 +170,7 @@ class RobotHold:
                     item.command()
                 else:
                     forced = until is not None and item.came <= until
-                    if not self._handed_on(self._sources[item.source.sensor], item, forced=forced):
+                    if not self._handed_on(self.sources.by_sensor[item.source.sensor], item, forced=forced):
                         return True, progress
                     progress = True
                 self._held.pop()
@@ -254,7 +201,7 @@ class RobotHold:
                     return
                 if item.head is not None and (item.head[0], item.source.sensor is not None) >= turn:
                     return
-                if not self._handed_on(self._sources[item.source.sensor], item):
+                if not self._handed_on(self.sources.by_sensor[item.source.sensor], item):
                     return
                 self._held.pop()
 
