@@ -8,8 +8,9 @@ import pytest
 
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake import queue as queue_module
+from ogm_services.mapper.intake.load import MAX_WORK
 from ogm_services.mapper.intake.message import Message
-from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.work import FIRST_RATE
 
 HONEST = Source("honest", "laser")
@@ -219,13 +220,13 @@ def test_tokens_take_room_of_their_robot_and_are_never_dropped(monkeypatch):
 
 
 def test_robots_that_are_gone_are_forgotten(monkeypatch):
-    monkeypatch.setattr(queue_module, "MAX_RATES", 50)
+    monkeypatch.setattr("ogm_services.mapper.intake.load.MAX_RATES", 50)
     queue = ScanQueue(4096)
     queue.put(scan("waits", seconds=0.5))
     for k in range(1000):
         queue.put(scan(f"r{k}"))
         assert queue.take(0) is not None
-    assert len(queue._robots) <= 50
+    assert len(queue._load.robots) <= 50
     queue = ScanQueue(4096)
     for k in range(100):  # all of them wait
         queue.put(scan(f"r{k}", seconds=0.01))

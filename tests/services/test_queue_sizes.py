@@ -6,8 +6,9 @@ import pytest
 
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake import queue as queue_module
+from ogm_services.mapper.intake.load import MAX_WORK
 from ogm_services.mapper.intake.message import Message
-from ogm_services.mapper.intake.queue import BEHIND, MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.queue import BEHIND, ScanQueue
 from ogm_services.mapper.intake.work import FIRST_RATE
 
 LONG_AGO = -1e9

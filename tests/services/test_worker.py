@@ -10,8 +10,9 @@ from ogm_core.placing.receipts import Receipts
 from ogm_core.placing.scan_placer import ScanPlacer
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake import worker as worker_module
+from ogm_services.mapper.intake.load import MAX_WORK
 from ogm_services.mapper.intake.message import Message
-from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.intake.work import SLOW_RATE
 from ogm_services.mapper.intake.worker import LOOK_PERIOD, Worker
 from ogm_services.replies.answer import Unavailable

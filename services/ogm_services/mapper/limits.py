@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import Self
 
 from ogm_core.units import MEBIBYTE
-from ogm_services.mapper.intake.queue import MAX_BYTES, MAX_WORK
+from ogm_services.mapper.intake.load import MAX_WORK
+from ogm_services.mapper.intake.queue import MAX_BYTES
 from ogm_services.mapper.intake.work import FIRST_RATE
 from ogm_services.mapper.serving.answering_threads import HTTP_QUESTIONS, ZENOH_QUESTIONS
 from ogm_services.replies.in_flight import MAX_IN_FLIGHT

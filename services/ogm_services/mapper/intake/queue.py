@@ -4,18 +4,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from itertools import islice
 
 from ogm_core.units import MEBIBYTE
 from ogm_core.wire.keys import Source
 from ogm_services.mapper.intake.largest import Largest
-from ogm_services.mapper.intake.load import Load, RobotLoad
+from ogm_services.mapper.intake.load import QueueLoad
 from ogm_services.mapper.intake.message import Message
 
 MAX_BYTES = 256 * MEBIBYTE
 """Payload that may wait, whatever the number of scans, unless there is less memory."""
-MAX_WORK = 5.0
-"""Work that may wait, by what the cells of each robot's scans have taken so far, s."""
 MAX_POSES = 100_000
 """Poses are never dropped: past this many waiting, or their part of the bytes, their sender waits."""
 MAX_POSES_OF_ROBOT = 10_000
@@ -25,8 +22,6 @@ BEHIND = 1.0
 LOOKS = 64
 """So many scans, or LOOKS_BYTES of them, are looked at in one go."""
 LOOKS_BYTES = 4 * MEBIBYTE
-MAX_RATES = 2000
-"""Robots whose rates are remembered; one that is forgotten is measured anew."""
 
 
 class ScanQueue:
@@ -53,7 +48,6 @@ class ScanQueue:
         self.max_bytes = max_bytes
         """Payload that may wait: a fifth of it is room for poses, the rest for scans."""
         self._max_pose_bytes = max_bytes // 5
-        self._max_scan_bytes = max_bytes - self._max_pose_bytes
         self.max_scans = max_scans
         """Scans that may wait."""
         self._dropping = dropping
@@ -66,10 +60,7 @@ class ScanQueue:
         self._room = threading.Condition(self._lock)
         self._waiting_for_room = 0
         self._items: deque[Message] = deque()
-        self._robots: dict[str, RobotLoad[Message]] = {}
-        self._load = Load()
-        self._resumed = Load()
-        """The part of it that is resumed."""
+        self._load = QueueLoad(max_scans, max_bytes - self._max_pose_bytes)
         self._largest: Largest | None = None
         """By share, while the queue is full or was a moment ago."""
         self._closed = False
@@ -77,12 +68,12 @@ class ScanQueue:
     @property
     def bytes(self) -> int:
         """Payload of the scans and poses that wait."""
-        return self._load.size + self._load.pose_size
+        return self._load.all.size + self._load.all.pose_size
 
     @property
     def work(self) -> float:
         """How long the scans that wait will take, about, s."""
-        return self._load.work
+        return self._load.all.work
 
     @property
     def behind(self) -> bool:
@@ -92,7 +83,7 @@ class ScanQueue:
     @property
     def scans(self) -> int:
         """How many scans wait."""
-        return self._load.scans
+        return self._load.all.scans
 
     def put(self, item: Message) -> list[Source]:
         """Append a message; return the source of every scan that had to go for it."""
@@ -101,7 +92,7 @@ class ScanQueue:
             gone: list[Source] = []
             if source is not None and source.sensor is not None:
                 self._items.append(item)
-                self._add_scan(self._robot(source.robot), item)
+                self._load.add_scan(source.robot, item)
                 if item.cells is None:
                     self._unseen.append(item)
                 gone = self._make_room(source.robot)
@@ -109,7 +100,7 @@ class ScanQueue:
                 name = item.sender
                 if name is not None:
                     self._wait_for_room(name, len(item.payload))
-                    self._add_pose(name, item)
+                    self._load.add_pose(name, item)
                 self._items.append(item)
             self._came.notify()
             return gone
@@ -125,13 +116,13 @@ class ScanQueue:
             self._behind = time.monotonic() - item.arrival > BEHIND
             source = item.source
             if source is not None and source.sensor is not None:
-                self._remove_first_scan(self._robots[source.robot])
+                self._load.remove_first_scan(source.robot)
                 while item.cells is None and self._unseen.popleft() is not item:
                     pass  # one that was dropped
-                if self._largest is not None and self._part(self._load) <= 0.5:
+                if self._largest is not None and self._load.part(self._load.all) <= 0.5:
                     self._largest = None
             elif item.sender is not None:
-                self._remove_pose(item.sender, item)
+                self._load.remove_pose(item.sender, item)
                 if self._waiting_for_room:
                     self._room.notify_all()
             return item
@@ -145,16 +136,11 @@ class ScanQueue:
         if name is None:
             return []
         with self._lock:
-            robot = self._robot(name)
             if item.source is None or item.source.sensor is None:
-                robot.posing += seconds
+                self._load.robot(name).posing += seconds
                 return []
-            before = robot.rate.value
             cells = self._cells_of(item.source, item.payload) if item.cells is None else item.cells
-            robot.rate.measured(cells, seconds + robot.posing)
-            robot.posing = 0.0
-            self._load.work += robot.cells * (robot.rate.value - before)
-            self._resumed.work += robot.resumed_cells * (robot.rate.value - before)
+            self._load.measured(name, cells, seconds)
             return self._make_room(name)
 
     def has_room(self, name: str, part: float) -> bool:
@@ -164,15 +150,15 @@ class ScanQueue:
         who fills the queue in one go asks before each.
         """
         with self._lock:
-            mine, resumed = self._robots.get(name), self._resumed
+            mine, resumed = self._load.robots.get(name), self._load.resumed
             if self._closed or mine is None or not (mine.scans or mine.poses):
                 return True
             self._look()
             return (
                 mine.poses < part * MAX_POSES_OF_ROBOT
                 and resumed.poses < part * MAX_POSES
-                and self._share(name) < part
-                and self._part(resumed) < part
+                and self._load.share(name) < part
+                and self._load.part(resumed) < part
             )
 
     def close(self) -> None:
@@ -200,66 +186,10 @@ class ScanQueue:
 
     def _has_room(self, name: str, length: int) -> bool:
         """Whether a pose of this length may be put."""
-        full = self._load.poses >= MAX_POSES or self._robot(name).poses >= MAX_POSES_OF_ROBOT
-        too_large = self._load.poses > 0 and self._load.pose_size + length > self._max_pose_bytes
+        waits = self._load.all
+        full = waits.poses >= MAX_POSES or self._load.robot(name).poses >= MAX_POSES_OF_ROBOT
+        too_large = waits.poses > 0 and waits.pose_size + length > self._max_pose_bytes
         return self._closed or not (full or too_large)
-
-    def _robot(self, name: str) -> RobotLoad[Message]:
-        robot = self._robots.get(name)
-        if robot is None:
-            if len(self._robots) >= MAX_RATES:
-                self._forget_some()
-            robot = self._robots[name] = RobotLoad()
-        return robot
-
-    def _forget_some(self) -> None:
-        """Forget those of the first few robots of which nothing waits; the others become the last ones."""
-        for name in list(islice(self._robots, 8)):
-            robot = self._robots.pop(name)
-            if robot.scans or robot.poses:
-                self._robots[name] = robot
-
-    def _loads(self, item: Message) -> tuple[Load, ...]:
-        return (self._load, self._resumed) if item.resumed else (self._load,)
-
-    def _add_pose(self, name: str, item: Message) -> None:
-        self._robot(name).poses += 1
-        for load in self._loads(item):
-            load.add_pose(len(item.payload))
-
-    def _remove_pose(self, name: str, item: Message) -> None:
-        self._robot(name).poses -= 1
-        for load in self._loads(item):
-            load.remove_pose(len(item.payload))
-
-    def _add_scan(self, robot: RobotLoad[Message], item: Message) -> None:
-        robot.scans.append(item)
-        robot.size += len(item.payload)
-        work = robot.look(item.cells, 1, resumed=item.resumed)
-        for load in self._loads(item):
-            load.add_scan(len(item.payload), work)
-
-    def _remove_first_scan(self, robot: RobotLoad[Message]) -> Message:
-        item = robot.scans.popleft()
-        robot.size -= len(item.payload)
-        work = robot.look(item.cells, -1, resumed=item.resumed)
-        if not robot.scans:  # else what is lost in rounding would add up
-            robot.cells = robot.resumed_cells = 0.0
-        for load in self._loads(item):
-            load.remove_scan(len(item.payload), work)
-        return item
-
-    def _part(self, load: Load) -> float:
-        """The part of the bounds that scans take up: of the work, the bytes or their number, the largest."""
-        return max(load.work / MAX_WORK, load.size / self._max_scan_bytes, load.scans / self.max_scans)
-
-    def _share(self, name: str) -> float:
-        """The part of the bounds that a robot's scans take up."""
-        robot = self._robots.get(name)
-        if robot is None:
-            return 0.0
-        size = robot.size / self._max_scan_bytes
-        return max(robot.work / MAX_WORK, size, len(robot.scans) / self.max_scans)
 
     def _look(self) -> None:
         """Look how large some of the scans are that wait."""
@@ -270,10 +200,7 @@ class ScanQueue:
                 continue
             item.cells = self._cells_of(item.source, item.payload)
             name = item.source.robot
-            robot = self._robots[name]
-            work = robot.look(item.cells, 1, resumed=item.resumed)
-            for load in self._loads(item):
-                load.work += work
+            self._load.looked(name, item)
             if self._largest is not None:
                 self._largest.grew(name)
             size += len(item.payload)
@@ -289,11 +216,10 @@ class ScanQueue:
                 self._look()
         if self._largest is not None:
             self._largest.grew(name)
-        while self._load.scans > 1 and self._part(self._load) > 1.0:
+        while self._load.all.scans > 1 and self._load.part(self._load.all) > 1.0:
             if self._largest is None:
-                self._largest = Largest(self._share, self._robots)
-            loser = self._largest.name()
-            item = self._remove_first_scan(self._robots[loser])
+                self._largest = Largest(self._load.share, self._load.robots)
+            item = self._load.remove_first_scan(self._largest.name())
             assert item.source is not None
             self._dropping(item.source, item.payload)
             item.dropped, item.payload = True, b""

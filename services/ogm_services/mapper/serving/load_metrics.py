@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from prometheus_client.metrics_core import Metric
 
-from ogm_services.mapper.intake.queue import MAX_WORK, ScanQueue
+from ogm_services.mapper.intake.load import MAX_WORK
+from ogm_services.mapper.intake.queue import ScanQueue
 from ogm_services.mapper.serving.health import Health
 from ogm_services.mapper.serving.metrics import gauge, gauges
 from ogm_services.mapper.storage.kept_map import KeptMap
