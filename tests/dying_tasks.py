@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -32,6 +33,26 @@ def failing(text, mark=None):
     if mark:
         Path(mark).touch()
     raise BadRecording(text)
+
+
+class OfTwo(Exception):
+    """An error that pickle writes, and cannot read."""
+
+    def __init__(self, one, two):
+        super().__init__(f"{one} {two}")
+
+
+class WithLock(Exception):
+    """An error that pickle cannot write."""
+
+    def __init__(self, *texts):
+        super().__init__(" ".join(texts))
+        self.lock = threading.Lock()
+
+
+def raising(kind):
+    """Raise such an error."""
+    raise {"OfTwo": OfTwo, "WithLock": WithLock}[kind]("went", "wrong")
 
 
 def failing_after(mark, text):

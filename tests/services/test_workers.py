@@ -3,12 +3,15 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
 from dying_tasks import task
-from ogm_core.errors import BadRecording
+from ogm_core.errors import BadInput, BadRecording
+from ogm_services.commands.batch import workers as workers_module
 from ogm_services.commands.batch.workers import WorkerDied, WorkerProcesses
 
 
@@ -61,6 +64,72 @@ def test_an_unforeseen_error_says_where_in_the_worker_it_was_raised(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, WorkerProcesses(1) as workers:
         workers.run("working", [task("dying", tmp_path / "nowhere", 0, 0)])
     assert "in dying\n" in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize("kind", ["OfTwo", "WithLock"])
+def test_an_error_that_cannot_be_sent_is_told_by_its_text(kind):
+    why = f"^{kind}: went wrong\n(.*\n)*.* in raising\n"
+    with pytest.raises(RuntimeError, match=why), WorkerProcesses(1) as workers:
+        workers.run("working", [task("raising", kind)])
+
+
+def test_where_no_more_processes_can_be_started_it_is_said_what_to_do(tmp_path, monkeypatch):
+    begin = workers_module._Worker
+
+    def begin_one():
+        if multiprocessing.active_children():
+            raise OSError(24, "Too many open files")
+        return begin()
+
+    monkeypatch.setattr(workers_module, "_Worker", begin_one)
+    why = r"^--workers 3: beside 1 processes no other can be started: Too many open files: ask for fewer"
+    with pytest.raises(BadInput, match=why), WorkerProcesses(3) as workers:
+        workers.run("working", [task("endless")] * 2)
+
+
+def test_frozen_workers_without_work_hold_up_no_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers_module, "ENDS_WITHIN", 3600.0)
+    workers = WorkerProcesses(2)
+    workers.run("working", [task("lasting", tmp_path, number, 0) for number in range(2)])
+    for worker in multiprocessing.active_children():
+        os.kill(worker.pid, signal.SIGSTOP)
+    workers.__exit__(ValueError, ValueError("whatever"), None)
+
+
+INTERRUPTED = """
+import os, signal, time
+import typer
+from dying_tasks import task
+from ogm_services.commands.batch import workers
+from ogm_services.runtime.endings import INTERRUPTED
+from ogm_services.runtime.signals import running_service
+
+begin = workers._Worker.__init__
+def begin_and_interrupt(self):
+    begin(self)
+    time.sleep(0.15)
+    os.killpg(0, signal.SIGINT)
+workers._Worker.__init__ = begin_and_interrupt
+try:
+    with running_service(INTERRUPTED), workers.WorkerProcesses(2) as processes:
+        processes.run("working", [task("endless")] * 2)
+except typer.Exit as end:
+    raise SystemExit(end.exit_code)
+"""
+
+
+def test_ctrl_c_while_workers_begin_is_the_parents_alone():
+    """Who hears of it while it loads Python complains at length."""
+    found = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        timeout=120.0,
+        check=False,
+        text=True,
+    )
+    assert (found.returncode, found.stderr) == (130, "")
 
 
 def test_a_task_that_its_workers_always_die_of_is_named_and_no_other(tmp_path):

@@ -9,28 +9,33 @@ they were at is of no use to anybody. One whose parent is no more ends by itself
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
+import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self, cast
 
-from ogm_core.errors import OgmError
+from ogm_core.errors import BadInput, OgmError
 from ogm_services.commands.batch.tasks import Task, run_task
 from ogm_services.runtime.progress import progress_bar
+from ogm_services.runtime.signals import held_signals
 
 MOST_DEATHS = 3
 """So many workers may a task cost, at most."""
 ENDS_WITHIN = 10.0
-"""How long a process without work may take to end, s; then it is killed."""
+"""How long processes without work may take to end, s; then they are killed."""
 _PROCESSES = multiprocessing.get_context("spawn")  # not by fork: numba and our threads would not survive it
 _TRACKER: Any = resource_tracker._resource_tracker  # noqa: SLF001
+_OF_THE_GROUP = signal.SIGINT, signal.SIGHUP
+"""Signals that a terminal sends to the whole group: the parent's to handle."""
 
 
 class WorkerDied(OgmError):
@@ -94,10 +99,12 @@ class _Worker:
     """A process that runs a task at a time, and the connection to it."""
 
     def __init__(self) -> None:
+        resource_tracker.ensure_running()  # it would let signals through
         self.connection, theirs = _PROCESSES.Pipe()
         with theirs:  # open in the process alone: when it dies the connection ends
             self._process = _PROCESSES.Process(target=_work, args=(theirs,), daemon=True)
-            self._process.start()
+            with _blocked(_OF_THE_GROUP):
+                self._process.start()
 
     @property
     def alive(self) -> bool:
@@ -105,9 +112,12 @@ class _Worker:
         return self._process.is_alive()
 
     def end(self) -> None:
-        """End the process, which has no work."""
+        """Tell the process, which has no work, to end."""
         self.connection.close()
-        self._process.join(ENDS_WITHIN)
+
+    def ended(self, by: float) -> None:
+        """Wait until it has, which a frozen one never will: at this monotonic time, s, it is killed."""
+        self._process.join(max(0.0, by - time.monotonic()))
         self.kill()
 
     def kill(self) -> None:
@@ -134,13 +144,17 @@ class WorkerProcesses(Workers):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for worker, _ in self._busy.values():
-            worker.kill()
-        for worker in self._idle:
-            worker.end()
-        if self._tracked:
-            # Python's helper process would end with this one, but a moment later.
-            _TRACKER._stop()  # noqa: SLF001
+        with held_signals():  # Python waits at its end for whoever is left, a frozen one for ever
+            for worker, _ in self._busy.values():
+                worker.kill()
+            for worker in self._idle:
+                worker.end()
+            by = time.monotonic() + (ENDS_WITHIN if kind is None else 0.0)
+            for worker in self._idle:
+                worker.ended(by)
+            if self._tracked:
+                # Python's helper process would end with this one, but a moment later.
+                _TRACKER._stop()  # noqa: SLF001
 
     def run(self, text: str, tasks: Sequence[Task]) -> list[Any]:
         """See `Workers.run`."""
@@ -173,16 +187,29 @@ class WorkerProcesses(Workers):
 
     def _begin(self, number: int, task: Task) -> None:
         """Hand a task to a process that has none, or to a new one."""
+        with held_signals():  # one that is begun by half complains, and nobody would know of it
+            worker = self._one_idle() or self._one_more()
+            self._busy[worker.connection] = worker, number
+        with suppress(OSError):  # it has just died: its connection says so
+            worker.connection.send(task)
+
+    def _one_idle(self) -> _Worker | None:
         while self._idle:
             worker = self._idle.pop()
             if worker.alive:
-                break
+                return worker
             worker.kill()  # it died without work, which no task is to blame for
-        else:
-            worker = _Worker()
-        self._busy[worker.connection] = worker, number
-        with suppress(OSError):  # it has just died: its connection says so
-            worker.connection.send(task)
+        return None
+
+    def _one_more(self) -> _Worker:
+        try:
+            return _Worker()
+        except OSError as error:
+            at_work = len(self._busy)
+            raise BadInput(
+                f"--workers {self.count}: beside {at_work} processes no other can be started: "
+                f"{error.strerror}: ask for fewer, or raise the limit (ulimit -a)"
+            ) from error
 
     def _ended(self) -> Iterator[tuple[int, _Gave | None]]:
         """Wait until a task has ended; the numbers of those that have, and what they gave; None: a death."""
@@ -213,8 +240,9 @@ def _died_of(task: Task) -> WorkerDied:
 
 def _work(connection: Connection) -> None:
     """Run the tasks that come, in a process of its own, until the connection ends."""
-    for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole group: the parent's to handle
+    for number in _OF_THE_GROUP:
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_THE_GROUP)
     threading.Thread(target=_end_with_parent, name="ogm-parent", daemon=True).start()
     with suppress(EOFError, OSError):  # the parent has closed it, or is gone
         while True:
@@ -224,7 +252,28 @@ def _work(connection: Connection) -> None:
             except Exception as error:  # noqa: BLE001 - the parent's to raise
                 if not isinstance(error, OgmError):
                     error.add_note(traceback.format_exc())  # where in this process
-                connection.send(_Gave(None, error))
+                connection.send(_Gave(None, _sendable(error)))
+
+
+def _sendable(error: Exception) -> Exception:
+    """An error that the parent can read: this one, or its text where pickle cannot make it anew."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001 - whatever the error's class raises
+        text = RuntimeError(f"{type(error).__name__}: {error}")
+        text.__notes__ = [str(note) for note in getattr(error, "__notes__", ())]
+        return text
+    return error
+
+
+@contextmanager
+def _blocked(signals: Iterable[signal.Signals]) -> Iterator[None]:
+    """Inside, signals wait: also those to a process that is started here, until it lets them come."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:
