@@ -67,7 +67,7 @@ def test_a_map_that_takes_the_place_of_another_has_its_threads():
     assert not update_threads_alive()
 
 
-def test_a_mapper_with_threads_makes_the_map_of_one(start_mapper, no_errors):
+def test_a_mapper_with_threads_makes_the_map_of_one(start_mapper, no_errors, eventually):
     grid = OccupancyGrid(GridSettings(resolution=FINE))
     poses = [Pose(0.1 * k, -0.05 * k, 0.2 * k) for k in range(6)]
     with start_mapper(map={"resolution": FINE}, mapper={"threads": 3}) as mapper:
@@ -77,7 +77,8 @@ def test_a_mapper_with_threads_makes_the_map_of_one(start_mapper, no_errors):
             grid.integrate(scan(k), pose)
         status = mapper.settle(received=len(poses))
         assert (status["threads"], status["revision"]) == (3, len(poses))
-        assert update_threads_alive() == ["ogm-update-1", "ogm-update-2"]
+        # The rest of the warm-up has some of its own, for a moment or for as long as kernels compile.
+        eventually(lambda: update_threads_alive() == ["ogm-update-1", "ogm-update-2"])
         served = read_npz(mapper.http.get("/map.npz").content)
     assert not update_threads_alive()
     snapshot = grid.snapshot()
