@@ -1,5 +1,6 @@
 """The first start of a version: it compiles, says so, answers meanwhile, and ends when it is told to."""
 
+import os
 import signal
 import socket
 import subprocess
@@ -17,15 +18,15 @@ WITHOUT_END = """
 import sys
 from numba import njit
 from ogm_services.cli import main
-from ogm_services.mapper import service
+from ogm_services.mapper.live import first_warm_up
 
 def warm_up(settings, threads):
     while True:
         njit(lambda x: x + 1)(1)
         print("compiled", flush=True)
 
-service.warm_up = warm_up
-sys.argv = ["ogm", "mapper", "--http-port", "0", "--listen", "tcp/127.0.0.1:0"]
+first_warm_up.warm_up = warm_up
+sys.argv = ["ogm", SERVICE, "--http-port", "0", "--listen", "tcp/127.0.0.1:0"]
 main()
 """
 
@@ -59,18 +60,27 @@ def test_it_says_that_it_compiles_and_answers_until_it_is_ready(ogm, eventually,
     assert "compil" not in second.stop().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_a_start_that_compiles(number):
-    mapper = subprocess.Popen(
-        [sys.executable, "-c", WITHOUT_END], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+@pytest.mark.parametrize(
+    ("service", "number"),
+    [("mapper", signal.SIGTERM), ("mapper", signal.SIGINT), ("gateway", signal.SIGTERM)],
+)
+def test_a_signal_ends_a_start_that_compiles_and_says_so(service, number, tmp_path):
+    starting = subprocess.Popen(
+        [sys.executable, "-c", f"SERVICE = {service!r}\n{WITHOUT_END}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
     )
     try:
-        assert mapper.stdout.readline() == "compiled\n"
-        mapper.send_signal(number)
+        assert starting.stdout.readline() == "compiled\n"
+        starting.send_signal(number)
         began = time.monotonic()
-        out, err = mapper.communicate(timeout=ENDED)
+        out, err = starting.communicate(timeout=ENDED)
     finally:
-        mapper.kill()
-        mapper.wait()
+        starting.kill()
+        starting.wait()
     assert time.monotonic() - began < ENDED
-    assert (mapper.returncode, "Traceback" in err, "live map" in out) == (0, False, False), err
+    assert (starting.returncode, "Traceback" in err, "live map" in out) == (0, False, False), err
+    assert ": compiling the map's kernels, once for this version: about 10 s" in err
+    assert "compiled the map's" not in err

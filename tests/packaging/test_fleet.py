@@ -18,8 +18,9 @@ import zenoh
 
 from fleet_files import KUBERNETES, containers, environment, one, resources, settings_of, unit_keys
 from ogm_services.cli import app
+from ogm_services.mapper.live.first_warm_up import COMPILATION
 from ogm_services.mapper.live.watch import LOOK_PERIOD
-from ogm_services.mapper.service import COMPILATION, STOP_TIME
+from ogm_services.mapper.service import STOP_TIME
 from ogm_services.runtime.endings import BAD_INPUT
 from ogm_services.settings.sources import load_settings
 

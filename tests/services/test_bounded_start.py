@@ -18,6 +18,7 @@ from contextlib import suppress
 from ogm_services.cli import app
 from ogm_services.mapper import parts, service
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
+from ogm_services.mapper.live import first_warm_up
 from ogm_services.mapper.serving.other_mappers import OtherMappers
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 
@@ -48,7 +49,7 @@ PLACES = {
     "connecting": "service.open_session",
     "looking for others": "OtherMappers.claim",
     "declaring": "ZenohRoutes.declare",
-    "compiling": "service.warm_up",
+    "compiling": "first_warm_up.warm_up",
     "taking the map": "OtherMappers.serve",
     "subscribing": "ZenohSubscriber.declare",
 }
@@ -97,7 +98,7 @@ def test_a_start_that_does_not_end_ends_with_the_process(started, tmp_path, plac
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("place", ["gateway_service.warm_up", "Gathering.gather"])
+@pytest.mark.parametrize("place", ["first_warm_up.warm_up", "Gathering.gather"])
 def test_a_gateway_s_start_that_does_not_end_ends_with_the_process(started, place):
     code = f"{CHILD}{GATEWAY}IN_A_LIBRARY = {place == 'Gathering.gather'}\n{place} = for_ever"
     child = started(code, "--listen", "tcp/127.0.0.1:0", service="gateway")

@@ -13,9 +13,8 @@ import pytest
 from ogm_client.session import NetworkConfig, open_session
 from ogm_core.cells.thresholds import FREE_BELOW
 from ogm_core.errors import BadParameter
-from ogm_services.mapper import service as service_module
 from ogm_services.mapper.intake.queue import ScanQueue
-from ogm_services.mapper.live import load
+from ogm_services.mapper.live import first_warm_up, load
 from ogm_services.mapper.serving.answer_memory import AnswerMemory
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.answers import Answers
@@ -119,7 +118,7 @@ def while_starting(start_mapper, monkeypatch, endpoint):
     """`while_starting(look)` starts a mapper, and calls look(http, ask) when it has kernels to make ready."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
-    warm_up = service_module.warm_up
+    warm_up = first_warm_up.warm_up
 
     def start(look):
         def look_and_warm_up(settings, threads):
@@ -128,7 +127,7 @@ def while_starting(start_mapper, monkeypatch, endpoint):
                 look(http, lambda key: list(session.get(f"ogm/v1/hall/{key}", timeout=30.0)))
             warm_up(settings, threads)
 
-        monkeypatch.setattr(service_module, "warm_up", look_and_warm_up)
+        monkeypatch.setattr(first_warm_up, "warm_up", look_and_warm_up)
         return start_mapper(http={"port": port}, network={"listen": [endpoint]})
 
     return start

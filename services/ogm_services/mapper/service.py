@@ -19,12 +19,12 @@ import zenoh
 
 from ogm_client.session import NetworkConfig, open_session, resolve_listen
 from ogm_core.errors import BadInput, OgmError
-from ogm_core.grid_settings import GridSettings
 from ogm_core.wire.keys import MapKeys
 from ogm_services.mapper.http_app import http_app
 from ogm_services.mapper.intake.zenoh_subscriber import ZenohSubscriber
 from ogm_services.mapper.last_map import LastMap
-from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
+from ogm_services.mapper.live.first_warm_up import warm_up_first
+from ogm_services.mapper.live.warm_up import RestOfWarmUp
 from ogm_services.mapper.parts import Parts
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.http_access import HttpAccess
@@ -36,10 +36,7 @@ from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.results.map_folder import check_folder
 from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped, end_as_it_is
 from ogm_services.runtime.bounded_start import ended_within
-from ogm_services.runtime.compilation import compiling_until
-from ogm_services.runtime.kernel_cache import begins_empty, lasts
 from ogm_services.runtime.service_manager import ServiceManager
-from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
 
@@ -48,8 +45,6 @@ LIVE_MAP = "live map"
 WAKE_PERIOD = 0.5
 SWITCH_INTERVAL = 0.0005
 """How long a thread may compute while others wait for Python's lock, s; Python's own 5 ms are ten scans."""
-COMPILATION = {"beam": 10, "sector": 25}
-"""How long the kernels of a sensor model take to compile, about, s."""
 WORKER_TIME = 5.0
 """How long of that the worker may take to finish the scan in hand, s; no scan within the limits does."""
 
@@ -235,7 +230,7 @@ class MapperService:
         self.updates = UpdatePublisher(self.live_map, self.parts.in_flight)
         opening.callback(self.updates.stop)
         self._declare(routes, zenoh_threads)
-        _warm_up(self.parts.grid_settings, self._settings.mapper.thread_count)
+        warm_up_first(self.parts.grid_settings, self._settings.mapper.thread_count)
         others.serve()
         self._begin_to_map(opening, session, subscriber, routes)
         self._note_addresses(listener, config)
@@ -285,15 +280,3 @@ class MapperService:
         app, limits = http_app(self.parts, self._settings, self._access, self._http_threads, opening)
         self._http_thread = HttpThread(app, listener, limits, self.parts.metrics.measurements.http_closed)
         return self._http_thread
-
-
-def _warm_up(settings: GridSettings, threads: int) -> None:
-    """Make ready what scans need, before the first one; signals end that. Says so if it is to take long."""
-    empty, began = begins_empty(), time.monotonic()
-    if empty:
-        often, seconds = ", once for this version" if lasts() else "", COMPILATION[settings.sensor_model]
-        log.info("compiling the map's kernels%s: about %d s", often, seconds)
-    with held_signals() as held, compiling_until(lambda: bool(held)):
-        warm_up(settings, threads)
-    if empty:
-        log.info("compiled the map's kernels in %.0f s", time.monotonic() - began)

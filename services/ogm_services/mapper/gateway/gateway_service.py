@@ -17,7 +17,8 @@ from ogm_client.session import open_session, resolve_listen
 from ogm_core.errors import OgmError
 from ogm_services.mapper.gateway.gateway_parts import GatewayParts
 from ogm_services.mapper.http_app import MAP_LIMITS, map_app
-from ogm_services.mapper.live.warm_up import RestOfWarmUp, warm_up
+from ogm_services.mapper.live.first_warm_up import warm_up_first
+from ogm_services.mapper.live.warm_up import RestOfWarmUp
 from ogm_services.mapper.serving.answering_threads import AnsweringThreads
 from ogm_services.mapper.serving.http_access import HttpAccess
 from ogm_services.mapper.serving.http_server import HttpThread, bound_socket
@@ -26,9 +27,7 @@ from ogm_services.mapper.serving.update_publisher import UpdatePublisher
 from ogm_services.mapper.serving.zenoh_routes import ZenohRoutes
 from ogm_services.runtime.bounded_close import STOP_TIME, Closing, NotStopped, end_as_it_is
 from ogm_services.runtime.bounded_start import ended_within
-from ogm_services.runtime.compilation import compiling_until
 from ogm_services.runtime.service_manager import ServiceManager
-from ogm_services.runtime.signals import held_signals
 from ogm_services.settings.described import differences
 from ogm_services.settings.settings import Settings
 
@@ -143,8 +142,7 @@ class GatewayService:
         opening.enter_context(self._http(opening, listener, http_threads))
         updates = UpdatePublisher(parts.followed, parts.in_flight)
         opening.callback(updates.stop)
-        with held_signals() as held, compiling_until(lambda: bool(held)):
-            warm_up(self._settings.grid_settings())
+        warm_up_first(self._settings.grid_settings())
         parts.gathering.gather()
         opening.callback(parts.keeping_up.stop)
         parts.keeping_up.start()
