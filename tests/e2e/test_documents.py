@@ -283,11 +283,27 @@ def test_the_locks_of_a_mapper_are_those_of_the_table():
         for lock in _quoted(locks)
         if held
     }
-    rooms = ["ogm_core", *(f"services/ogm_services/{room}" for room in ("mapper", "replies", "runtime"))]
-    paths = [path for room in rooms for path in (ROOT / room).rglob("*.py")]
-    found = {key for path in paths for key in _locks(path.read_text(encoding="utf-8"))}
+    found = {key for text in _texts_of_a_mapper() for key in _locks(text)}
     assert len(found) >= 30
     assert documented == found
+
+
+def test_the_threads_of_a_mapper_are_those_of_the_table():
+    rows = _table("docs/architecture.md", "thread | does | must not")
+    documented = {name for names, does, _ in rows for name in _quoted(names) if does}
+    texts = "\n".join(_texts_of_a_mapper())
+    made = re.findall(r'(?:name=|ThreadPoolExecutor\(\w+, |name = f)"(ogm-[a-z-]+)(?:\{.*\})?"', texts)
+    kinds = re.findall(r'Turns\("(\w+)"', texts)
+    assert len(kinds) == 4
+    assert documented == {name.removesuffix("-") + "-N" * name.endswith("-") for name in made} | {
+        f"ogm-{kind}" for kind in kinds
+    }
+
+
+def _texts_of_a_mapper():
+    """What its rooms hold, file by file."""
+    rooms = ["ogm_core", *(f"services/ogm_services/{room}" for room in ("mapper", "replies", "runtime"))]
+    return [path.read_text(encoding="utf-8") for room in rooms for path in (ROOT / room).rglob("*.py")]
 
 
 def _locks(text):
