@@ -8,6 +8,7 @@ done in less. Where a processor cannot be told, as on macOS, threads stay where 
 import ctypes
 import os
 from collections.abc import Callable
+from contextlib import suppress
 
 NONE = -1
 _sched_getcpu: Callable[[], int] | None = getattr(ctypes.PyDLL(None), "sched_getcpu", None)
@@ -19,11 +20,16 @@ def processor() -> int:
 
 
 def leave(taken: int) -> None:
-    """Go to another processor, if this thread runs on the one of that number and may use others."""
+    """Go to another processor, if this thread runs on the one of that number and may use others.
+
+    It stays where the system refuses, and leaves alone which ones it may use if that is changed meanwhile.
+    """
     if taken == NONE or processor() != taken:
         return
     allowed = os.sched_getaffinity(0)
     others = allowed - {taken}
     if others:
-        os.sched_setaffinity(0, others)
-        os.sched_setaffinity(0, allowed)
+        with suppress(OSError):  # not permitted, or these are the process's no more
+            os.sched_setaffinity(0, others)
+            if os.sched_getaffinity(0) == others:
+                os.sched_setaffinity(0, allowed)

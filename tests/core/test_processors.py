@@ -29,13 +29,41 @@ def test_a_thread_leaves_a_processor_and_stays_on_any_other(on_one_of_several, m
     mine, allowed = on_one_of_several
     assert processor() == mine
     set_to = []
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: allowed)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: [allowed, *set_to][-1])
     monkeypatch.setattr(os, "sched_setaffinity", lambda _, these: set_to.append(these))
     leave(mine + 1)
     leave(NONE)
     assert set_to == []
     leave(mine)
     assert set_to == [allowed - {mine}, allowed]
+
+
+def test_what_somebody_else_lets_it_use_meanwhile_stays(on_one_of_several, monkeypatch):
+    mine, allowed = on_one_of_several
+    set_to = []
+
+    def set_and_set(_, these):
+        set_to.append(these)
+        set_to.append({mine})
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: [allowed, *set_to][-1])
+    monkeypatch.setattr(os, "sched_setaffinity", set_and_set)
+    leave(mine)
+    assert set_to == [allowed - {mine}, {mine}]
+
+
+def test_where_the_system_refuses_it_stays(on_one_of_several, monkeypatch):
+    """As in a sandbox, or where the processors have just been taken from the process."""
+    mine, allowed = on_one_of_several
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: allowed)
+
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setaffinity", refuse)
+    leave(mine)
+    monkeypatch.undo()
+    assert processor() == mine
 
 
 def test_it_has_left_at_once(on_one_of_several):
