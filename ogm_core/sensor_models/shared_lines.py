@@ -136,8 +136,9 @@ def _cuts(
     awake = 0
     for n in range(mailboxes.shape[0]):
         awake += int(state(mailboxes[n]) == EMPTY)
-    left, width = tiles[0] << TILE_BITS, (tiles[1] - tiles[0]) << TILE_BITS
-    work = np.zeros(width // _WIDE)
+    left = tiles[0] << TILE_BITS
+    width = min(tiles[1] << TILE_BITS, window[2]) - left  # bounds may run through a tile
+    work = np.zeros((width + _WIDE - 1) // _WIDE)
     work_of_beams(ends, 0, (window[0] + left, window[1], width, window[3]), _WIDE, work)
     cuts = left + even_cuts(work, 1 + awake, told[LEAST], 0.0) * _WIDE
     cuts[0], cuts[-1] = 0, window[2]

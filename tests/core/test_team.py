@@ -118,6 +118,19 @@ def test_helpers_update_their_parts(traversal, patient, eventually):
     assert not update_threads_alive()
 
 
+@pytest.mark.parametrize("traversal", ["bresenham", "dda"])
+def test_no_part_reaches_beyond_bounds_within_a_tile(traversal, patient):
+    """Most of the beams' columns are outside, in the tile through which the map's right edge runs."""
+    one, many = (grid_of(traversal=traversal, bounds=Region(-20.0, -15.0, 13.3, 20.0)) for _ in range(2))
+    ranges = np.linspace(4.0, 5.0, 120).astype(np.float32)
+    scan, pose = Scan(0, -0.5, 1.0 / 120, 0.1, 24.0, ranges), Pose(12.9, 0.0, 0.0)
+    with UpdateThreads(3, least_cells=1) as many.threads:
+        for _ in range(40):
+            assert many.integrate(scan, pose) == one.integrate(scan, pose)
+        assert many.threads._team is not None
+    assert contents(many) == contents(one)
+
+
 def test_helpers_fall_asleep_and_let_go_of_a_map_that_began_anew(eventually):
     with UpdateThreads(3, least_cells=1) as threads:
         _, grid, placed = known_maps(threads)
