@@ -1,10 +1,6 @@
 """Block updates of log odds: 64 int16 cells side by side in a few instructions, whatever part is meant.
 
-A block is always updated whole, and a mask keeps what lies outside the part:
-
-    column     0 . . . . begin . . . . until . . . . 63
-    begun      0 0 0 0 0 1 1 1 1 1 1 1 1  1 1 1 1 1 1        64 zeros, 64 ones, read from 64 - begin on
-    not ended  1 1 1 1 1 1 1 1 1 1 1 1 1  0 0 0 0 0 0        64 ones, 64 zeros, read from 63 - until on
+A block is always updated whole: every cell is written, those outside the part as they were.
 """
 
 from typing import Any
@@ -29,15 +25,6 @@ def block_limits(constants: tuple[Any, ...]) -> Limits:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def part_masks() -> NDArray[np.int16]:
-    """Rows "begun" and "not ended", shape (2, 128)."""
-    masks = np.full((2, 2 * BLOCK), -1, np.int16)
-    masks[0, :BLOCK] = 0
-    masks[1, BLOCK:] = 0
-    return masks
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def passed_block(cells: NDArray[np.int16], block: np.uint64, limits: Limits) -> None:
     """`updates.passed` for all cells of the block at this address."""
     floor, less, _, _ = limits
@@ -46,20 +33,27 @@ def passed_block(cells: NDArray[np.int16], block: np.uint64, limits: Limits) -> 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _is_meant(column: int, begin: int, until: int) -> np.bool_:
+    """Whether a column lies in the part: those before it wrap, and are beyond it.
+
+    In numbers as wide as cells, so that as many columns are compared at once as cells are updated.
+    """
+    return np.uint16(np.int64(column) - begin) <= np.uint16(until - begin)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def passed_part(
     cells: NDArray[np.int16],
     block: np.uint64,
     begin: int,
     until: int,
-    masks: NDArray[np.int16],
     limits: Limits,
 ) -> None:
     """`updates.passed` for the cells from column `begin` to `until` of a block."""
     floor, less, _, _ = limits
-    left, right = np.uint64(BLOCK - begin), np.uint64(BLOCK - 1 - until)
     for q in range(np.uint64(BLOCK)):
-        cell, mask = cells[block + q], masks[0, left + q] & masks[1, right + q]
-        cells[block + q] = cell + ((max(cell, floor) - cell + less) & mask)
+        cell = cells[block + q]
+        cells[block + q] = max(cell, floor) + less if _is_meant(q, begin, until) else cell
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -68,12 +62,10 @@ def ended_in_part(
     block: np.uint64,
     begin: int,
     until: int,
-    masks: NDArray[np.int16],
     limits: Limits,
 ) -> None:
     """`updates.ended` for the cells from column `begin` to `until` of a block."""
     _, _, ceiling, more = limits
-    left, right = np.uint64(BLOCK - begin), np.uint64(BLOCK - 1 - until)
     for q in range(np.uint64(BLOCK)):
-        cell, mask = cells[block + q], masks[0, left + q] & masks[1, right + q]
-        cells[block + q] = cell ^ ((((min(cell, ceiling) + more) | 1) ^ cell) & mask)
+        cell = cells[block + q]
+        cells[block + q] = (min(cell, ceiling) + more) | 1 if _is_meant(q, begin, until) else cell

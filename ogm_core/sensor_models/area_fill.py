@@ -81,12 +81,13 @@ def see(
     """
     heading, fu, fv = place
     rays, quarters = turned(ranges, BeamModel(*beam), kinds, Fan(*fan), heading, resolution)
-    box = CellRect(*window)
-    if box.width == 0:
-        box = box_of(rays)
+    box, kept = box_of(rays), CellRect(*window)
+    if kept.width == 0:
         if box.width * box.height > max_cells:
             return False, np.empty((0, 4), np.int32)
-    return True, spans(rays, quarters, fu, fv, box)
+        kept = box
+    lowest, end = max(kept.iy, box.iy), min(kept.iy + kept.height, box.iy + box.height)
+    return True, spans(rays, quarters, fu, fv, CellRect(kept.ix, lowest, kept.width, max(end - lowest, 0)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -134,16 +135,14 @@ def spans(
     """Cells of each class as spans of rows, for a sensor at (fu, fv) within its cell; no cell twice.
 
     Returns the rows of spans, cut off at the `window`: what lies outside costs no memory and, above
-    and below it, no time. A cell whose centre is the sensor has no bearing and is left out.
+    and below it, no time. A row of the window costs some memory, be it seen or not. A cell whose centre is
+    the sensor has no bearing and is left out.
     """
     rows = _ends_of(rays, fv)
     edges = _edges(rows, quarters)
-    lowest = max(int(rows.min()), window.iy)
-    highest = min(int(rows.max()), window.iy + window.height)
-    window = CellRect(window.ix, lowest, window.width, max(highest - lowest, 0))
     inside = np.zeros(window.height, np.int32)
     met = np.full(window.height, _FAR, np.int32)
-    met[: min(max(int(_row(0.0, fv)) - lowest, 0), window.height)] = -_FAR
+    met[: min(max(int(_row(0.0, fv)) - window.iy, 0), window.height)] = -_FAR
     found = np.empty((_ROOM, 4), np.int32)
     k = n = 0
     while True:
@@ -202,10 +201,10 @@ def _sweep(
             here = min(here, before) if above else max(here, before)
             inside[at] = state ^ toggled
             met[at] = here
-            if state and here != before:
+            if state:  # not whether the span has any cells: to foresee that, x would have to be there
                 found[n, 0], found[n, 3] = row, 2 - (state & SPAN_FREE)
                 found[n, 1], found[n, 2] = min(here, before), max(here, before)
-                n += 1
+                n += int(here != before)
         k += 1
     return k, n
 

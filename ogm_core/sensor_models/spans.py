@@ -17,7 +17,6 @@ from ogm_core.cells.blocks import (
     BLOCK_TYPES,
     block_limits,
     ended_in_part,
-    part_masks,
     passed_block,
     passed_part,
 )
@@ -144,7 +143,7 @@ def update_blocks(
     constants: Plain,
 ) -> tuple[int, int]:
     """`update_cells` for planes that cells.blocks knows: a row of a tile at once."""
-    limits, masks = block_limits(constants), part_masks()  # first: for want of memory nothing has changed
+    limits = block_limits(constants)
     window = CellRect(*window)
     updates = fresh = 0
     for n in range(spans.shape[0]):
@@ -158,10 +157,10 @@ def update_blocks(
             touched[tile] = revision
             block = np.uint64(column[np.uint64(first)] + (j << TILE_BITS) - begin)
             if spans[n, 3] != SPAN_FREE:
-                ended_in_part(cells, block, begin, until, masks, limits)
+                ended_in_part(cells, block, begin, until, limits)
             elif until - begin == TILE - 1:
                 passed_block(cells, block, limits)
             else:
-                passed_part(cells, block, begin, until, masks, limits)
+                passed_part(cells, block, begin, until, limits)
             first = last + 1
     return updates, fresh
