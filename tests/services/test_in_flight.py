@@ -225,3 +225,12 @@ def test_no_answer_is_larger_than_what_max_memory_leaves(start_mapper, eventuall
         memory.limit = memory.total() - memory.held()["caches"] + SMALL  # what is kept is in no answer's way
         assert mapper.http.get("/map.json", headers=AS_IT_IS).status_code == 503
         assert mapper.http.get("/status").status_code == 200
+
+
+def test_what_will_not_fit_later_either_is_not_told_to_come_again():
+    in_flight = InFlight(10 * MIB, left=lambda: 4 * MIB)
+    why = "^making this one takes 5 MiB, for which mapper.max_memory has no room: ask for a smaller region"
+    with pytest.raises(Busy, match=why):
+        in_flight.making(5 * MIB).__enter__()
+    with in_flight.making(3 * MIB), pytest.raises(Busy, match=r"answers of 3 MiB are .* try again later"):
+        in_flight.making(5 * MIB).__enter__()

@@ -85,6 +85,10 @@ class InFlight:
 
     def _take(self, size: int, this_one: str) -> None:
         # One alone may be larger than all that may be held together: nobody would ever get it.
+        if not self._held and size > self._left():
+            raise Busy(
+                f"{this_one}, for which mapper.max_memory has no room: ask for a smaller region, or raise it"
+            )
         if (self._held and self._held + size > self.limit) or size > self._left():
             raise Busy(
                 f"answers of {_mebibytes(self._held)} are being made or sent, and {this_one}: "
