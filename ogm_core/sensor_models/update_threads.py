@@ -108,10 +108,10 @@ class UpdateThreads:
         if self._resting or not self._worth_a_team[beams.bit_length()]:
             return None
         with self._updating:
+            self._start(self.count - 1)
             team = self._team
             if team is None or not team.fits(store, beams):
                 team = self._team = Team(self.count - 1, self.worth_a_team / 2.0, store, beams, exact=exact)
-            self._start(self.count - 1)
             for helper in range(self.count - 1):
                 job = team.job(helper, store, plane, constants)
                 if job is not None:
@@ -189,6 +189,8 @@ class UpdateThreads:
             self._rest = self._resting = min(2 * self._rest + 1, _LONGEST_REST)
 
     def _start(self, count: int) -> None:
+        if not all(thread.is_alive() for thread in self._threads):
+            self._end()  # an error has ended one, and nobody does what it was told
         while len(self._threads) < count:
             inbox: SimpleQueue[_Order | None] = SimpleQueue()
             name = f"ogm-update-{len(self._threads) + 1}"
@@ -205,7 +207,7 @@ class UpdateThreads:
             inbox.put(None)
         for thread in self._threads:
             thread.join()
-        self._inboxes, self._threads = [], []
+        self._inboxes, self._threads, self._team = [], [], None
 
 
 _Job = Callable[[], object]

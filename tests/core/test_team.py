@@ -175,6 +175,40 @@ def test_a_part_for_which_a_helper_has_no_memory_is_updated_by_the_caller(patien
     assert contents(many) == contents(one)
 
 
+@pytest.mark.parametrize("before_it_begins", [True, False])
+def test_another_takes_the_place_of_a_helper_that_an_error_has_ended(
+    before_it_begins, patient, monkeypatch, eventually
+):
+    """Whatever it was: in its work, or on the way to it."""
+    ended, serve = [], shared_lines.serve
+
+    def failing(mailbox, patience, *rest):
+        if ended or before_it_begins:
+            serve(mailbox, patience, *rest)
+        elif mailbox_module.taken(mailbox, patience):
+            raise RuntimeError("odd")
+
+    def leaving(_):
+        if before_it_begins and not ended:
+            raise RuntimeError("odd")
+
+    monkeypatch.setattr(team.shared_lines, "serve", failing)
+    monkeypatch.setattr(update_threads, "leave", leaving)
+    monkeypatch.setattr(threading, "excepthook", lambda error: ended.append(str(error.exc_value)))
+    with UpdateThreads(2, least_cells=1) as threads:
+        one, many, placed = known_maps(threads)
+
+        def all_is_well():
+            assert many.integrate(*placed) == one.integrate(*placed)
+            return bool(ended) and threads._team._mailboxes[:, shared_lines._UPDATES].all()
+
+        assert eventually(all_is_well)
+        assert update_threads_alive() == ["ogm-update-1"]
+    assert ended == ["odd"]
+    assert contents(many) == contents(one)
+    assert not update_threads_alive()
+
+
 @pytest.mark.parametrize(
     ("state", "error"),
     [(EMPTY, LimitReached), (ASLEEP, LimitReached), (POSTED, RuntimeError), (DONE, RuntimeError)],
