@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import urllib.request
-from contextlib import ExitStack, chdir, suppress
+from contextlib import ExitStack, chdir, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,8 @@ STARTED = 120.0
 """How long a command may take to start, s: on a fresh checkout it compiles its kernels."""
 STOPPED = 30.0
 """How long a service may take to end after SIGTERM or Ctrl-C, s."""
+ABORTED = 5.0
+"""How long one that did not end may take to say where its threads stand, s."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,19 @@ class Ended:
         return self.warnings
 
 
+@contextmanager
+def _hang_ups_heard():
+    """Inside, processes are started that heed SIGHUP, though these tests may run under nohup."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 class Command:
     """A running `ogm` command, leader of a process group of its own.
 
@@ -62,15 +77,16 @@ class Command:
 
     def __init__(self, *args, cwd, **environ):
         self._start = time.monotonic()
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "ogm_services", *map(str, args)],
-            cwd=cwd,
-            env={**without_settings(os.environ), **environ},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        with _hang_ups_heard():
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "ogm_services", *map(str, args)],
+                cwd=cwd,
+                env={**without_settings(os.environ), "PYTHONFAULTHANDLER": "1", **environ},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+            )
         self.args = args
         self._ended = None
         self._out, self._err = [], []
@@ -111,7 +127,10 @@ class Command:
         try:
             code = self.process.wait(timeout)
         except subprocess.TimeoutExpired:
-            pytest.fail(f"{self.args} did not end within {timeout} s: {self._out}{self._err}")
+            self.process.send_signal(signal.SIGABRT)  # it says where each of its threads stands
+            self._readers[1].join(ABORTED)
+            stands = f"{self._out}{''.join(self._err)}"
+            pytest.fail(f"{self.args} did not end within {timeout} s: {stands}")
         seconds = time.monotonic() - self._start
         for reader in self._readers:
             reader.join(timeout)
