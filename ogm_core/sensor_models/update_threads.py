@@ -10,7 +10,6 @@ scans come fast. All other evidence threads share here, by `update`.
 import itertools
 import threading
 import time
-from collections.abc import Callable
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Self
@@ -21,7 +20,7 @@ from ogm_core.cells.model import CellModel
 from ogm_core.lattice import CellRect
 from ogm_core.sensor_models.beams import Plain
 from ogm_core.sensor_models.evidence import Evidence
-from ogm_core.sensor_models.processors import leave, processor
+from ogm_core.sensor_models.helper import Helper
 from ogm_core.sensor_models.strip_work import even_cuts
 from ogm_core.sensor_models.team import Team
 from ogm_core.tiles.parts import StorePart, part_of_window
@@ -74,8 +73,7 @@ class UpdateThreads:
         and how many have not paid in a row."""
         self._updating = threading.Lock()
         self._team: Team | None = None
-        self._inboxes: list[SimpleQueue[_Order | None]] = []
-        self._threads: list[threading.Thread] = []
+        self._helpers: list[Helper] = []
 
     def __enter__(self) -> Self:
         return self
@@ -112,10 +110,10 @@ class UpdateThreads:
             team = self._team
             if team is None or not team.fits(store, beams):
                 team = self._team = Team(self.count - 1, self.worth_a_team / 2.0, store, beams, exact=exact)
-            for helper in range(self.count - 1):
-                job = team.job(helper, store, plane, constants)
+            for number, helper in enumerate(self._helpers):
+                job = team.job(number, store, plane, constants)
                 if job is not None:
-                    self._wake(helper, job)
+                    helper.tell(job)
         return team
 
     def finished(self, team: Team | None, beams: int, work: float) -> None:
@@ -169,8 +167,8 @@ class UpdateThreads:
         try:
             self._start(len(scan.left))
             began = time.perf_counter()
-            for helper in range(len(scan.left)):
-                self._wake(helper, scan.take)
+            for helper in self._helpers[: len(scan.left)]:
+                helper.tell(scan.take)
             updates = scan.finish()
             paid = time.perf_counter() - began + _BEFORE < _GAIN * scan.alone
             self._judge(paid=paid)
@@ -189,30 +187,19 @@ class UpdateThreads:
             self._rest = self._resting = min(2 * self._rest + 1, _LONGEST_REST)
 
     def _start(self, count: int) -> None:
-        if not all(thread.is_alive() for thread in self._threads):
+        if not all(helper.alive for helper in self._helpers):
             self._end()  # an error has ended one, and nobody does what it was told
-        while len(self._threads) < count:
-            inbox: SimpleQueue[_Order | None] = SimpleQueue()
-            name = f"ogm-update-{len(self._threads) + 1}"
-            thread = threading.Thread(target=_work, args=(inbox,), name=name, daemon=True)
-            thread.start()
-            self._inboxes.append(inbox)
-            self._threads.append(thread)
-
-    def _wake(self, helper: int, job: "_Job") -> None:
-        self._inboxes[helper].put((job, processor()))
+        while len(self._helpers) < count:
+            self._helpers.append(Helper(f"ogm-update-{len(self._helpers) + 1}"))
 
     def _end(self) -> None:
-        for inbox in self._inboxes:
-            inbox.put(None)
-        for thread in self._threads:
-            thread.join()
-        self._inboxes, self._threads, self._team = [], [], None
+        for helper in self._helpers:
+            helper.end()
+        for helper in self._helpers:
+            helper.join()
+        self._helpers, self._team = [], None
 
 
-_Job = Callable[[], object]
-_Order = tuple[_Job, int]
-"""What a thread has to call, and the processor of who says so, which is to be left to it."""
 _Part = tuple[int, int]
 """Its first column, and the one after its last."""
 
@@ -289,12 +276,3 @@ class _Scan:
     def _update(self, part: _Part) -> int:
         store, window = StorePart(self._store, *part), part_of_window(self._window, *part)
         return self._model.update(self._evidence, store, window, self._revision)
-
-
-def _work(inbox: "SimpleQueue[_Order | None]") -> None:
-    """A thread's life: it does what it is told, up to None."""
-    while (order := inbox.get()) is not None:
-        job, taken = order
-        leave(taken)
-        job()
-        del order, job  # they have the store's memory

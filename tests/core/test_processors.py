@@ -1,4 +1,4 @@
-"""A thread leaves the processor that another one needs, and may use all of its own again afterwards."""
+"""A thread that sleeps is kept off its waker's processor, and may use all of its own once it is awake."""
 
 import os
 import sys
@@ -6,98 +6,120 @@ import threading
 
 import pytest
 
-from ogm_core.sensor_models import processors, update_threads
-from ogm_core.sensor_models.processors import NONE, leave, processor
-from ogm_core.sensor_models.update_threads import UpdateThreads
+from ogm_core.sensor_models import helper as helper_module
+from ogm_core.sensor_models import processors
+from ogm_core.sensor_models.helper import Helper
+from ogm_core.sensor_models.processors import KeptOff, keep_off, let_back
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a thread its processor")
 
 
 @pytest.fixture
-def on_one_of_several():
-    """This thread's processor, and all that it may use; it does not leave the first by itself."""
+def several():
+    """The processors that this thread may use; two at least. It may use them again at the end."""
     allowed = os.sched_getaffinity(0)
     if len(allowed) < 2:
-        pytest.skip("this machine has one processor: there is none to go to")
-    mine = min(allowed)
-    os.sched_setaffinity(0, {mine})
-    yield mine, allowed
+        pytest.skip("this machine has one processor: a thread can be kept off no other's")
+    yield allowed
     os.sched_setaffinity(0, allowed)
 
 
-def test_a_thread_leaves_a_processor_and_stays_on_any_other(on_one_of_several, monkeypatch):
-    mine, allowed = on_one_of_several
-    assert processor() == mine
-    set_to = []
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: [allowed, *set_to][-1])
-    monkeypatch.setattr(os, "sched_setaffinity", lambda _, these: set_to.append(these))
-    leave(mine + 1)
-    leave(NONE)
-    assert set_to == []
-    leave(mine)
-    assert set_to == [allowed - {mine}, allowed]
+@pytest.fixture
+def sleeper():
+    """The native id of a thread that sleeps."""
+    awake = threading.Event()
+    thread = threading.Thread(target=awake.wait)
+    thread.start()
+    yield thread.native_id
+    awake.set()
+    thread.join()
 
 
-def test_what_somebody_else_lets_it_use_meanwhile_stays(on_one_of_several, monkeypatch):
-    mine, allowed = on_one_of_several
-    set_to = []
-
-    def set_and_set(_, these):
-        set_to.append(these)
-        set_to.append({mine})
-
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: [allowed, *set_to][-1])
-    monkeypatch.setattr(os, "sched_setaffinity", set_and_set)
-    leave(mine)
-    assert set_to == [allowed - {mine}, {mine}]
+def test_a_thread_is_kept_off_this_ones_processor_and_let_back(several, sleeper):
+    mine = max(several)
+    os.sched_setaffinity(0, {mine})
+    kept_off = keep_off(sleeper)
+    assert kept_off == KeptOff(several, several - {mine})
+    assert os.sched_getaffinity(sleeper) == several - {mine}
+    os.sched_setaffinity(0, kept_off.others)
+    let_back(kept_off)
+    assert os.sched_getaffinity(0) == several
 
 
-def test_where_the_system_refuses_it_stays(on_one_of_several, monkeypatch):
+def test_one_that_runs_elsewhere_or_nowhere_else_stays_as_it_is(several, sleeper):
+    mine, *others = sorted(several)
+    os.sched_setaffinity(0, {mine})
+    for its in ({mine}, set(others)):
+        os.sched_setaffinity(sleeper, its)
+        assert keep_off(sleeper) is None
+        assert os.sched_getaffinity(sleeper) == its
+
+
+def test_what_somebody_else_lets_it_use_meanwhile_stays(several):
+    one = {min(several)}
+    os.sched_setaffinity(0, one)
+    let_back(KeptOff(several, several - one))
+    assert os.sched_getaffinity(0) == one
+
+
+def test_where_the_system_refuses_it_stays_as_it_is(several, sleeper, monkeypatch):
     """As in a sandbox, or where the processors have just been taken from the process."""
-    mine, allowed = on_one_of_several
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: allowed)
 
     def refuse(*_):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(os, "sched_setaffinity", refuse)
-    leave(mine)
-    monkeypatch.undo()
-    assert processor() == mine
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "sched_setaffinity", refuse)
+        assert keep_off(sleeper) is None
+        let_back(KeptOff(several, several))
+    assert os.sched_getaffinity(sleeper) == several
 
 
-def test_it_has_left_at_once(on_one_of_several):
-    mine, allowed = on_one_of_several
-    gone = 0
-    for _ in range(20):
-        os.sched_setaffinity(0, {mine})
-        os.sched_setaffinity(0, allowed)
-        leave(mine)
-        gone += processor() != mine
-        assert os.sched_getaffinity(0) == allowed
-    assert gone > 10  # a busy machine may send it back
-
-
-def test_where_there_is_no_other_processor_it_stays(on_one_of_several):
-    mine, _ = on_one_of_several
-    leave(mine)
-    assert os.sched_getaffinity(0) == {mine}
-
-
-def test_where_no_system_call_tells_the_processor_threads_stay(monkeypatch):
+def test_where_no_system_call_tells_the_processor_threads_stay_as_they_are(sleeper, monkeypatch):
     monkeypatch.setattr(processors, "_sched_getcpu", None)
-    assert processor() == NONE
     monkeypatch.delattr(os, "sched_setaffinity")
-    leave(processor())
+    assert keep_off(sleeper) is None
 
 
-def test_a_thread_that_is_woken_up_leaves_its_callers_processor(monkeypatch):
-    left = []
-    done = threading.Event()
-    monkeypatch.setattr(update_threads, "processor", lambda: 5)
-    monkeypatch.setattr(update_threads, "leave", left.append)
-    with UpdateThreads(2) as threads:
-        threads._start(1)
-        threads._wake(0, done.set)
+def test_a_helper_wakes_up_elsewhere_and_may_use_all_processors_when_it_begins(several):
+    helper = Helper("helping")
+    try:
+        for mine in several:
+            os.sched_setaffinity(0, {mine})
+            os.sched_setaffinity(helper._thread.native_id, several)
+            found, done = [], threading.Event()
+
+            def look(found=found, done=done):
+                found.append(os.sched_getaffinity(0))
+                done.set()
+
+            helper.tell(look)
+            assert done.wait(30.0)
+            assert found == [several]
+    finally:
+        helper.end()
+        helper.join()
+    assert not helper.alive
+
+
+def test_a_helper_that_is_told_more_before_it_is_awake_is_kept_off_once(monkeypatch, eventually):
+    kept_off = KeptOff({0, 1, 2}, {0, 1})
+    calls, back = [], []
+    begin, done = threading.Event(), threading.Event()
+    monkeypatch.setattr(helper_module, "keep_off", lambda _: calls.append("kept off") or kept_off)
+    monkeypatch.setattr(helper_module, "let_back", back.append)
+    helper = Helper("helping")
+    try:
+        helper.tell(lambda: begin.wait(30.0))
+        eventually(lambda: back and helper._kept_off is None)
+        helper._kept_off = kept_off  # as if it had not yet begun
+        for _ in range(3):
+            helper.tell(lambda: None)
+        helper.tell(done.set)
+        begin.set()
         assert done.wait(30.0)
-    assert left == [5]
+    finally:
+        helper.end()
+        helper.join()
+    assert calls == ["kept off"]
+    assert back == [kept_off, kept_off]

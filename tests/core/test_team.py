@@ -14,9 +14,10 @@ from ogm_core.errors import LimitReached
 from ogm_core.grid import OccupancyGrid
 from ogm_core.grid_settings import GridSettings
 from ogm_core.lattice import Clip, Region
+from ogm_core.sensor_models import helper, shared_lines, team, update_threads
 from ogm_core.sensor_models import mailbox as mailbox_module
-from ogm_core.sensor_models import shared_lines, team, update_threads
 from ogm_core.sensor_models.mailbox import ASLEEP, DONE, EMPTY, FAILED, POSTED, STATE, TAKEN, WORDS
+from ogm_core.sensor_models.processors import KeptOff
 from ogm_core.sensor_models.update_threads import UpdateThreads
 from ogm_core.types import Pose, Scan, Sweep
 
@@ -193,7 +194,8 @@ def test_another_takes_the_place_of_a_helper_that_an_error_has_ended(
             raise RuntimeError("odd")
 
     monkeypatch.setattr(team.shared_lines, "serve", failing)
-    monkeypatch.setattr(update_threads, "leave", leaving)
+    monkeypatch.setattr(helper, "keep_off", lambda _: KeptOff(set(), set()))
+    monkeypatch.setattr(helper, "let_back", leaving)
     monkeypatch.setattr(threading, "excepthook", lambda error: ended.append(str(error.exc_value)))
     with UpdateThreads(2, least_cells=1) as threads:
         one, many, placed = known_maps(threads)
