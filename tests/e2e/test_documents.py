@@ -292,7 +292,7 @@ def test_the_threads_of_a_mapper_are_those_of_the_table():
     rows = _table("docs/architecture.md", "thread | does | must not")
     documented = {name for names, does, _ in rows for name in _quoted(names) if does}
     texts = "\n".join(_texts_of_a_mapper())
-    made = re.findall(r'(?:name=|ThreadPoolExecutor\(\w+, |name = f)"(ogm-[a-z-]+)(?:\{.*\})?"', texts)
+    made = re.findall(r'(?:name=|ThreadPoolExecutor\(\w+, |Helper\(f)"(ogm-[a-z-]+)(?:\{.*\})?"', texts)
     kinds = re.findall(r'Turns\("(\w+)"', texts)
     assert len(kinds) == 4
     assert documented == {name.removesuffix("-") + "-N" * name.endswith("-") for name in made} | {
