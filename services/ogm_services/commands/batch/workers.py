@@ -165,12 +165,11 @@ class WorkerProcesses(Workers):
                     number = waiting.popleft()
                     self._begin(number, tasks[number])
                 for number, gave in self._ended():
-                    if gave is None:
-                        deaths[number] += 1
-                        if deaths[number] < MOST_DEATHS:
-                            waiting.appendleft(number)
-                        else:
-                            outcomes.fail(number, _died_of(tasks[number]))
+                    deaths[number] += gave is None
+                    if gave is None and deaths[number] < MOST_DEATHS:
+                        waiting.appendleft(number)
+                    elif gave is None:
+                        outcomes.fail(number, _died_of(tasks[number]))
                     elif gave.error is not None:
                         outcomes.fail(number, gave.error)
                     else:
